@@ -1,0 +1,249 @@
+"""The sample buffer: what the lighting equation needs to know of every visible surface point, background left out.
+
+Rows ([N, 3]) are how people read it; planes ([3, slots]), padded and grouped into tiles of one surface each, are how it
+is stored, because the equation is evaluated tile by tile. The layout changes once, here.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+MAX_TILE = 1024
+MIN_TILE = 64
+
+
+class SampleBuffer(eqx.Module):
+    """Samples of a rasterised image, one a visible surface point (and pixel, or part of a pixel).
+
+    Build it with `SampleBuffer.create`, `rasterize` or `samples_from_maps`. World space, the units of the scene.
+    """
+
+    position_planes: Float[Array, "3 slots"]
+    normal_planes: Float[Array, "3 slots"]
+    eye: Float[Array, 3]
+    """The viewer's position."""
+    camera_to_world: Float[Array, "3 3"] | None
+    """Rotation from camera axes (x right, y up, looking along -z) to the world; aims the headlight."""
+    color_planes: Float[Array, "components slots"] | None
+    """Interpolated per-vertex or per-face colour (RGB or RGBA), or None."""
+    texel_index: Int[Array, "4 slots"] | None
+    """The four texels (row * width + column) around each sample in its surface's texture, or None."""
+    texel_weight: Float[Array, "4 slots"] | None
+    pixel_slots: Int[Array, slots] | None
+    """Pixel (row * width + column, row 0 at the top) of each slot; padding holds height * width."""
+    coverage_slots: Float[Array, slots] | None
+    """Share of its pixel that a sample stands for (1 / samples-per-pixel); padding holds 0. None: 1."""
+    slot: Int[Array, samples] | None
+    """Slot of each sample; None when sample i lies in slot i."""
+    tile_surface: Int[Array, tiles]
+    """Row in `Scene.surfaces` of each tile."""
+    runs: tuple[tuple[int, int, int], ...] = eqx.field(static=True)
+    """(surface, first tile, tile after the last) in storage order."""
+    count: int = eqx.field(static=True)
+    tile: int = eqx.field(static=True)
+    width: int | None = eqx.field(static=True)
+    height: int | None = eqx.field(static=True)
+
+    @classmethod
+    def create(
+        cls,
+        position: Any,
+        normal: Any,
+        eye: Any,
+        *,
+        surface: Any = 0,
+        color: Any = None,
+        texel_index: Any = None,
+        texel_weight: Any = None,
+        pixel: Any = None,
+        coverage: Any = None,
+        width: int | None = None,
+        height: int | None = None,
+        camera_to_world: Any = None,
+        tile: int | None = None,
+        dtype: Any = None,
+    ) -> SampleBuffer:
+        """A buffer from rows, in any order; results of `shade` come in the same order.
+
+        Args:
+            position: [N, 3], world space.
+            normal: [N, 3], world space, any length (the equation normalises it).
+            eye: [3], the viewer's position.
+            surface: row in `Scene.surfaces`, one for all or [N].
+            color: [N, 3] or [N, 4], the interpolated vertex colours.
+            texel_index, texel_weight: [N, 4], texels (row * width + column) of the surface's texture and their weights.
+            pixel: [N], row * width + column, row 0 at the top; needs `width` and `height`.
+            coverage: [N], share of the pixel that a sample stands for.
+            camera_to_world: [3, 3], rotation from camera axes to the world.
+            tile: samples a tile, a power of two (default: chosen from N).
+            dtype: float type of the arrays (default: JAX's).
+
+        Raises:
+            ValueError: a shape, a non-finite value or an index that does not fit; says which.
+        """
+        position = _rows("position", position, (3,))
+        count = len(position)
+        normal = _rows("normal", normal, (3,), count)
+        eye = _vector("eye", eye, (3,))
+        surface = _indices("surface", np.full(count, surface) if np.ndim(surface) == 0 else surface, (count,))
+        color = None if color is None else _rows("color", color, (3, 4), count)
+        if (texel_index is None) != (texel_weight is None):
+            raise ValueError("SampleBuffer: texel_index and texel_weight go together; one of them is missing")
+        if texel_index is not None:
+            texel_index = _indices("texel_index", texel_index, (count, 4))
+            texel_weight = _rows("texel_weight", texel_weight, (4,), count)
+        if pixel is not None:
+            if width is None or height is None:
+                raise ValueError("SampleBuffer: pixel needs width and height")
+            pixel = _indices("pixel", pixel, (count,), below=width * height)
+        coverage = None if coverage is None else _vector("coverage", coverage, (count,))
+        camera_to_world = None if camera_to_world is None else _vector("camera_to_world", camera_to_world, (3, 3))
+        if tile is not None and (tile < 1 or tile & (tile - 1)):
+            raise ValueError(f"SampleBuffer: tile: expected a power of two, got {tile}")
+        layout = _layout(surface, tile)
+
+        def planes(values: np.ndarray | None) -> Any:
+            return None if values is None else jnp.asarray(np.ascontiguousarray(values[layout.source].T), dtype=dtype)
+
+        def slots(values: np.ndarray | None, padding: float) -> Any:
+            return None if values is None else np.where(layout.is_padding, padding, values[layout.source])
+
+        index = None if texel_index is None else np.ascontiguousarray(texel_index[layout.source].T)
+        pixels = slots(pixel, (width or 0) * (height or 0))
+        share = slots(coverage, 0.0)
+        return cls(
+            position_planes=planes(position),
+            normal_planes=planes(normal),
+            eye=jnp.asarray(eye, dtype=dtype),
+            camera_to_world=None if camera_to_world is None else jnp.asarray(camera_to_world, dtype=dtype),
+            color_planes=planes(color),
+            texel_index=None if index is None else jnp.asarray(index, dtype=jnp.int32),
+            texel_weight=planes(texel_weight),
+            pixel_slots=None if pixels is None else jnp.asarray(pixels, dtype=jnp.int32),
+            coverage_slots=None if share is None else jnp.asarray(share, dtype=dtype),
+            slot=None if layout.slot is None else jnp.asarray(layout.slot, dtype=jnp.int32),
+            tile_surface=jnp.asarray(layout.tile_surface, dtype=jnp.int32),
+            runs=layout.runs,
+            count=count,
+            tile=layout.tile,
+            width=width,
+            height=height,
+        )
+
+    def in_sample_order(self, slots: Array) -> Array:
+        """[..., slots] -> [..., N]: padding dropped, samples in the order in which they were given."""
+        return slots[..., : self.count] if self.slot is None else jnp.take(slots, self.slot, axis=-1)
+
+    @property
+    def position(self) -> Float[Array, "samples 3"]:
+        """Positions in world space."""
+        return self.in_sample_order(self.position_planes).T
+
+    @property
+    def normal(self) -> Float[Array, "samples 3"]:
+        """Normals in world space, as given (any length)."""
+        return self.in_sample_order(self.normal_planes).T
+
+    @property
+    def color(self) -> Float[Array, "samples components"] | None:
+        """Interpolated vertex colours, RGB or RGBA, or None."""
+        return None if self.color_planes is None else self.in_sample_order(self.color_planes).T
+
+    @property
+    def surface(self) -> Int[Array, samples]:
+        """Row in `Scene.surfaces` of each sample."""
+        return self.in_sample_order(jnp.repeat(self.tile_surface, self.tile))
+
+    @property
+    def pixel(self) -> Int[Array, samples] | None:
+        """Pixel of each sample, row * width + column, row 0 at the top; or None."""
+        return None if self.pixel_slots is None else self.in_sample_order(self.pixel_slots)
+
+    @property
+    def coverage(self) -> Float[Array, samples] | None:
+        """Share of its pixel that each sample stands for; None: 1."""
+        return None if self.coverage_slots is None else self.in_sample_order(self.coverage_slots)
+
+
+class _Layout(NamedTuple):
+    """How rows go to slots: tiles of one surface each, padding filled with the surface's last sample."""
+
+    source: np.ndarray
+    is_padding: np.ndarray
+    slot: np.ndarray | None
+    tile_surface: np.ndarray
+    runs: tuple[tuple[int, int, int], ...]
+    tile: int
+
+
+def _layout(surface: np.ndarray, tile: int | None) -> _Layout:
+    order = np.argsort(surface, kind="stable")
+    rows, counts = np.unique(surface, return_counts=True)
+    if tile is None:
+        tile = _tile_size(len(surface), len(rows))
+    tiles = -(-counts // tile)
+    last_tile = np.cumsum(tiles)
+    first_tile = last_tile - tiles
+    first_sample = np.cumsum(counts) - counts
+    slots = np.arange(tiles.sum() * tile)
+    run = np.repeat(np.arange(len(rows)), tiles * tile)
+    within = slots - first_tile[run] * tile
+    source = order[first_sample[run] + np.minimum(within, counts[run] - 1)]
+    is_padding = within >= counts[run]
+    slot = np.empty(len(surface), dtype=np.int64)
+    slot[source[~is_padding]] = slots[~is_padding]
+    in_order = bool(np.all(slot == np.arange(len(surface))))
+    runs = tuple(zip(rows.tolist(), first_tile.tolist(), last_tile.tolist(), strict=True))
+    return _Layout(source, is_padding, None if in_order else slot, np.repeat(rows, tiles), runs, tile)
+
+
+def _tile_size(samples: int, surfaces: int) -> int:
+    """The largest power of two that wastes little on padding: MAX_TILE for images, less for few samples a surface."""
+    wanted = max(MIN_TILE, min(MAX_TILE, samples // (4 * max(surfaces, 1))))
+    return 1 << (wanted.bit_length() - 1)
+
+
+def _rows(what: str, value: Any, columns: tuple[int, ...], count: int | None = None) -> np.ndarray:
+    """`value` as finite floats [N, columns]; raises ValueError that names `what`."""
+    array = _array(what, value)
+    if array.ndim != 2 or array.shape[1] not in columns or (count is not None and len(array) != count):
+        expected = f"[{'N' if count is None else count}, {' or '.join(map(str, columns))}]"
+        raise ValueError(f"SampleBuffer: {what}: expected shape {expected}, got {list(array.shape)}")
+    return array
+
+
+def _vector(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    array = _array(what, value)
+    if array.shape != shape:
+        raise ValueError(f"SampleBuffer: {what}: expected shape {list(shape)}, got {list(array.shape)}")
+    return array
+
+
+def _array(what: str, value: Any) -> np.ndarray:
+    try:
+        array = np.asarray(value)
+        array = array if array.dtype == np.float32 else array.astype(np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"SampleBuffer: {what}: expected numbers, got {value!r:.60}") from None
+    if not np.all(np.isfinite(array)):
+        bad = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise ValueError(f"SampleBuffer: {what}: every number must be finite; {what}{bad} is {array[tuple(bad)]}")
+    return array
+
+
+def _indices(what: str, value: Any, shape: tuple[int, ...], below: int | None = None) -> np.ndarray:
+    """`value` as integers >= 0 (and < below) of the given shape."""
+    array = np.asarray(value)
+    if array.shape != shape or not np.issubdtype(array.dtype, np.integer):
+        raise ValueError(
+            f"SampleBuffer: {what}: expected integers of shape {list(shape)}, got {array.dtype} {list(array.shape)}"
+        )
+    if array.size and (array.min() < 0 or (below is not None and array.max() >= below)):
+        allowed = ">= 0" if below is None else f"in [0, {below})"
+        raise ValueError(f"SampleBuffer: {what}: every index must be {allowed}; got {array.min()} to {array.max()}")
+    return array.astype(np.int64)

@@ -1,0 +1,212 @@
+"""The value checks of node fields: each takes (where, value), returns the canonical value or raises ValueError.
+
+`where` names the field (`Material[body].diffuse_color`) for the message.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+
+def _refuse(where: str, value: Any, allowed: str) -> ValueError:
+    shown = np.array2string(value, threshold=6) if isinstance(value, np.ndarray) else repr(value)
+    return ValueError(f"{where}: expected {allowed}, got {shown[:80]}")
+
+
+def _floats(where: str, value: Any, shape: tuple[int, ...], allowed: str) -> np.ndarray:
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise _refuse(where, value, allowed) from None
+    if array.shape != shape or not np.all(np.isfinite(array)):
+        raise _refuse(where, value, allowed)
+    return array
+
+
+def _rows(where: str, value: Any, columns: int, allowed: str) -> np.ndarray:
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise _refuse(where, value, allowed) from None
+    if array.size == 0:
+        array = np.zeros((0, columns))
+    if array.ndim != 2 or array.shape[1] != columns or not np.all(np.isfinite(array)):
+        raise _refuse(where, f"an array of shape {array.shape}", allowed)
+    array = array.copy()
+    array.setflags(write=False)
+    return array
+
+
+def number(
+    where: str,
+    value: Any,
+    *,
+    above: float = -math.inf,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
+    below: float = math.inf,
+    infinite: bool = False,
+) -> float:
+    """One number in the given range; finite unless `infinite`."""
+    bounds = []
+    bounds += [f"> {above:g}"] if above > -math.inf else []
+    bounds += [f">= {at_least:g}"] if at_least > -math.inf else []
+    bounds += [f"<= {at_most:g}"] if at_most < math.inf else []
+    bounds += [f"< {below:g}"] if below < math.inf else []
+    allowed = " ".join(["a number" if infinite else "a finite number", " and ".join(bounds)]).strip()
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise _refuse(where, value, allowed) from None
+    if array.shape != () or isinstance(value, (bool, np.bool_, str)):
+        raise _refuse(where, value, allowed)
+    x = float(array)
+    if math.isnan(x) or (math.isinf(x) and not infinite) or not (at_least <= x <= at_most):
+        raise _refuse(where, value, allowed)
+    if not (x > above or above == -math.inf) or not (x < below or below == math.inf):
+        raise _refuse(where, value, allowed)
+    return x
+
+
+def unit_interval(where: str, value: Any) -> float:
+    """One number in [0, 1]."""
+    return number(where, value, at_least=0.0, at_most=1.0)
+
+
+def non_negative(where: str, value: Any, *, infinite: bool = False) -> float:
+    """One number >= 0."""
+    return number(where, value, at_least=0.0, infinite=infinite)
+
+
+def positive(where: str, value: Any) -> float:
+    """One number > 0."""
+    return number(where, value, above=0.0)
+
+
+def spot_angle(where: str, value: Any) -> float:
+    """An angle in (0, pi/2] radians; a few float32 ulp above pi/2 (files write 1.570796 and 1.5708) become pi/2."""
+    angle = number(where, value, above=0.0, at_most=math.pi / 2 + 1e-4)
+    return min(angle, math.pi / 2)
+
+
+def boolean(where: str, value: Any) -> bool:
+    """True or False."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise _refuse(where, value, "True or False")
+    return bool(value)
+
+
+def string(where: str, value: Any) -> str:
+    """A string."""
+    if not isinstance(value, str):
+        raise _refuse(where, value, "a string")
+    return value
+
+
+def choice(*words: str) -> Callable[[str, Any], str]:
+    """A check for one of the given words."""
+
+    def check(where: str, value: Any) -> str:
+        if value not in words:
+            raise _refuse(where, value, " or ".join(repr(word) for word in words))
+        return value
+
+    return check
+
+
+def vector2(where: str, value: Any) -> tuple[float, float]:
+    """Two finite numbers."""
+    x, y = _floats(where, value, (2,), "2 finite numbers").tolist()
+    return x, y
+
+
+def vector3(
+    where: str, value: Any, *, at_least: float = -math.inf, above: float = -math.inf, what: str = "3 finite numbers"
+) -> tuple[float, float, float]:
+    """Three finite numbers, each in range."""
+    what += f" >= {at_least:g}" if at_least > -math.inf else ""
+    what += f" > {above:g}" if above > -math.inf else ""
+    array = _floats(where, value, (3,), what)
+    if np.any(array < at_least) or (above > -math.inf and np.any(array <= above)):
+        raise _refuse(where, value, what)
+    x, y, z = array.tolist()
+    return x, y, z
+
+
+def direction(where: str, value: Any) -> tuple[float, float, float]:
+    """Three finite numbers; need not have length 1 (it is normalised where it is used)."""
+    return vector3(where, value)
+
+
+def scale_vector(where: str, value: Any) -> tuple[float, float, float]:
+    """Three finite numbers, none zero."""
+    scale = vector3(where, value)
+    if 0.0 in scale:
+        raise _refuse(where, value, "3 finite numbers, none 0")
+    return scale
+
+
+def color(where: str, value: Any) -> tuple[float, float, float]:
+    """Three numbers in [0, 1]."""
+    array = _floats(where, value, (3,), "3 numbers in [0, 1]")
+    if np.any((array < 0) | (array > 1)):
+        raise _refuse(where, value, "3 numbers in [0, 1]")
+    r, g, b = array.tolist()
+    return r, g, b
+
+
+def axis_angle(where: str, value: Any) -> tuple[float, float, float, float]:
+    """An axis and an angle in radians."""
+    x, y, z, angle = _floats(where, value, (4,), "4 finite numbers (axis x, y, z and angle in radians)").tolist()
+    if x == y == z == 0.0 and angle != 0.0:
+        raise _refuse(where, value, "an axis that is not zero")
+    return x, y, z, angle
+
+
+def color_rows(where: str, value: Any, columns: int) -> np.ndarray:
+    """Colours [n, columns] in [0, 1]."""
+    allowed = f"colours of shape [n, {columns}] in [0, 1]"
+    array = _rows(where, value, columns, allowed)
+    if np.any((array < 0) | (array > 1)):
+        raise _refuse(where, array, allowed)
+    return array
+
+
+def vector2_rows(where: str, value: Any) -> np.ndarray:
+    """Vectors [n, 2]."""
+    return _rows(where, value, 2, "finite numbers of shape [n, 2]")
+
+
+def vector3_rows(where: str, value: Any) -> np.ndarray:
+    """Vectors [n, 3]."""
+    return _rows(where, value, 3, "finite numbers of shape [n, 3]")
+
+
+def index_list(where: str, value: Any) -> np.ndarray:
+    """A flat list of indices >= -1 (-1 ends a face)."""
+    array = np.asarray(value)
+    if array.size == 0:
+        array = np.zeros(0, dtype=np.int64)
+    if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer) or np.any(array < -1):
+        raise _refuse(where, array, "a flat list of integers >= -1")
+    array = array.astype(np.int64)
+    array.setflags(write=False)
+    return array
+
+
+def texture_image(where: str, value: Any) -> np.ndarray | None:
+    """None, or an image [height, width, 1 to 4 components] of values in [0, 1], row 0 at the bottom."""
+    if value is None:
+        return None
+    allowed = "an image of shape [height, width, 1 to 4] with values in [0, 1]"
+    array = np.array(value, dtype=np.float64)
+    if array.ndim != 3 or array.shape[2] not in (1, 2, 3, 4) or array.size == 0:
+        raise _refuse(where, f"an array of shape {array.shape}", allowed)
+    if not np.all((array >= 0) & (array <= 1)):
+        raise _refuse(where, array, allowed)
+    array.setflags(write=False)
+    return array

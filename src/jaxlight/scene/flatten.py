@@ -1,0 +1,209 @@
+"""Nodes -> Scene: walk the tree once, place what it holds in world space, resolve scopes and repeated nodes."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from . import nodes
+from .document import Document, PlacedShape, PlacedViewpoint
+from .scene import DirectionalLights, Fog, Materials, PointLights, Scene, SpotLights, Surface, Texture
+from .transforms import IDENTITY, compose, transform_matrix
+
+MAX_DEPTH = 400
+MAX_PLACED = 1_000_000
+
+_Light = nodes.DirectionalLight | nodes.PointLight | nodes.SpotLight
+_HEADLIGHT = nodes.DirectionalLight(name="headlight", global_=True)
+
+
+@dataclasses.dataclass
+class _Walk:
+    """What the walk has met: each with its frame and the chain of group instances above it."""
+
+    shapes: list[tuple[nodes.Shape, np.ndarray, tuple[int, ...]]] = dataclasses.field(default_factory=list)
+    lights: list[tuple[_Light, np.ndarray, int]] = dataclasses.field(default_factory=list)
+    viewpoints: list[PlacedViewpoint] = dataclasses.field(default_factory=list)
+    fogs: list[tuple[nodes.Fog, np.ndarray]] = dataclasses.field(default_factory=list)
+    backgrounds: list[nodes.Background] = dataclasses.field(default_factory=list)
+    navigation: list[nodes.NavigationInfo] = dataclasses.field(default_factory=list)
+    groups: int = 0
+    visited: int = 0
+
+    def enter(self, children: Iterable[nodes.Node], to_world: np.ndarray, above: tuple[int, ...]) -> None:
+        """Visit the children of a new group instance."""
+        if len(above) >= MAX_DEPTH:
+            raise ValueError(f"scene: groups nested deeper than {MAX_DEPTH}")
+        group = self.groups
+        self.groups += 1
+        for child in children:
+            self.visit(child, to_world, (*above, group))
+
+    def visit(self, node: nodes.Node, to_world: np.ndarray, above: tuple[int, ...]) -> None:
+        self.visited += 1
+        if self.visited > MAX_PLACED:
+            raise ValueError(f"scene: more than {MAX_PLACED} placed nodes (a node used again counts every time)")
+        match node:
+            case nodes.Transform():
+                own = transform_matrix(node)
+                if not np.all(np.isfinite(own)) or abs(np.linalg.det(own[:, :3])) < 1e-30:
+                    raise ValueError(f"{node.label}: its matrix cannot be inverted (scale {node.scale})")
+                self.enter(node.children, compose(to_world, own), above)
+            case nodes.Group():
+                self.enter(node.children, to_world, above)
+            case nodes.Switch():
+                if 0 <= node.which_choice < len(node.children):
+                    self.enter((node.children[node.which_choice],), to_world, above)
+            case nodes.Shape():
+                self.shapes.append((node, to_world, above))
+            case nodes.DirectionalLight() | nodes.PointLight() | nodes.SpotLight():
+                self.lights.append((node, to_world, above[-1]))
+            case nodes.Viewpoint():
+                self.viewpoints.append(PlacedViewpoint(node, to_world))
+            case nodes.Fog():
+                self.fogs.append((node, to_world))
+            case nodes.Background():
+                self.backgrounds.append(node)
+            case nodes.NavigationInfo():
+                self.navigation.append(node)
+            case _:
+                raise ValueError(f"scene: a {type(node).__name__} cannot stand among the children of a group")
+
+
+def scene_from_nodes(children: nodes.Node | Sequence[nodes.Node], *, dtype: Any = None) -> Scene:
+    """See `Scene.from_nodes`."""
+    roots = (children,) if isinstance(children, nodes.Node) else tuple(children)
+    walk = _Walk()
+    walk.enter(roots, IDENTITY, ())
+
+    materials = _distinct(shape.appearance.material for shape, _, _ in walk.shapes if shape.appearance)
+    textures = _distinct(_texture(shape) for shape, _, _ in walk.shapes)
+    lights = list(walk.lights)
+    headlight = not lights and all(info.headlight for info in walk.navigation[:1])
+    if headlight:
+        lights.append((_HEADLIGHT, IDENTITY, 0))
+
+    # A surface is a row of the colour tables together with the scoped lights above the shape.
+    scoped = {group for light, _, group in lights if not light.global_}
+    surfaces: dict[tuple[Surface, frozenset[int]], int] = {}
+    placed = []
+    for shape, to_world, above in walk.shapes:
+        key = (_surface(shape, materials, textures), frozenset(above) & scoped)
+        row = surfaces.setdefault(key, len(surfaces))
+        placed.append(PlacedShape(shape, to_world, row))
+
+    def of_kind(kind: type[_Light]) -> list[tuple[Any, np.ndarray, np.ndarray]]:
+        """(node, to_world, in_scope over surfaces) of the lights of one kind."""
+        return [
+            (light, to_world, np.array([light.global_ or group in scopes for _, scopes in surfaces], dtype=bool))
+            for light, to_world, group in lights
+            if isinstance(light, kind)
+        ]
+
+    directional, point, spot = of_kind(nodes.DirectionalLight), of_kind(nodes.PointLight), of_kind(nodes.SpotLight)
+    stack = _Stack(dtype)
+    document = Document(
+        children=roots,
+        shapes=tuple(placed),
+        viewpoints=tuple(walk.viewpoints),
+        background=walk.backgrounds[0] if walk.backgrounds else None,
+        materials=tuple(materials),
+        directional=tuple(light for light, _, _ in directional),
+        point=tuple(light for light, _, _ in point),
+        spot=tuple(light for light, _, _ in spot),
+        textures=tuple(textures),
+        fog=walk.fogs[0][0] if walk.fogs else None,
+    )
+    return Scene(
+        materials=stack.materials(materials),
+        directional=stack.directional(directional, headlight=headlight),
+        point=stack.point(point),
+        spot=stack.spot(spot),
+        fog=stack.fog(*walk.fogs[0]) if walk.fogs else None,
+        textures=tuple(Texture(stack.floats(node.image), node.name) for node in textures),
+        surfaces=tuple(surface for surface, _ in surfaces),
+        document=document,
+    )
+
+
+def _distinct(found: Iterable[Any]) -> list[Any]:
+    """The distinct objects in order of appearance, None left out."""
+    return list({id(node): node for node in found if node is not None}.values())
+
+
+def _texture(shape: nodes.Shape) -> nodes.ImageTexture | nodes.PixelTexture | None:
+    texture = shape.appearance.texture if shape.appearance else None
+    return texture if texture is not None and texture.image is not None else None
+
+
+def _row(rows: list[Any], node: nodes.Node | None) -> int:
+    return next((i for i, other in enumerate(rows) if other is node), -1)
+
+
+def _surface(shape: nodes.Shape, materials: list[nodes.Material], textures: list[Any]) -> Surface:
+    """The shape's row of tables 17.2 and 17.3."""
+    material = _row(materials, shape.appearance.material if shape.appearance else None)
+    color = getattr(shape.geometry, "color", None)
+    components = 0 if color is None or len(color.color) == 0 else color.color.shape[1]
+    return Surface("lit" if material >= 0 else "unlit", material, _row(textures, _texture(shape)), components)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Stack:
+    """Stacks the fields of nodes into struct-of-arrays of one float type."""
+
+    dtype: Any
+
+    def floats(self, values: Any) -> Any:
+        return jnp.asarray(np.asarray(values, dtype=np.float64), dtype=self.dtype)
+
+    def _fields(self, rows: list[Any], *names: str) -> dict[str, Any]:
+        return {name: self.floats([getattr(node, name) for node in rows]) for name in names}
+
+    def _light(self, lights: list[tuple[Any, np.ndarray, np.ndarray]], *names: str) -> dict[str, Any]:
+        rows = [light for light, _, _ in lights]
+        return {
+            **self._fields(rows, "ambient_intensity", "color", "intensity", *names),
+            "on": jnp.asarray([light.on for light in rows]),
+            "in_scope": jnp.asarray(np.stack([scope for _, _, scope in lights], axis=1)),
+            "to_world": self.floats([to_world for _, to_world, _ in lights]),
+            "names": tuple(light.name for light in rows),
+        }
+
+    def _to_local(self, lights: list[tuple[Any, np.ndarray, np.ndarray]]) -> Any:
+        return self.floats([np.linalg.inv(to_world[:, :3]) for _, to_world, _ in lights])
+
+    def materials(self, rows: list[nodes.Material]) -> Materials | None:
+        if not rows:
+            return None
+        colors = self._fields(rows, "diffuse_color", "emissive_color", "specular_color")
+        scalars = self._fields(rows, "ambient_intensity", "shininess", "transparency")
+        return Materials(**colors, **scalars, names=tuple(node.name for node in rows))
+
+    def directional(self, lights: list[Any], *, headlight: bool) -> DirectionalLights | None:
+        return DirectionalLights(**self._light(lights, "direction"), headlight=headlight) if lights else None
+
+    def point(self, lights: list[Any]) -> PointLights | None:
+        if not lights:
+            return None
+        fields = self._light(lights, "attenuation", "location", "radius")
+        return PointLights(**fields, to_local=self._to_local(lights))
+
+    def spot(self, lights: list[Any]) -> SpotLights | None:
+        if not lights:
+            return None
+        fields = self._light(lights, "attenuation", "beam_width", "cut_off_angle", "direction", "location", "radius")
+        return SpotLights(**fields, to_local=self._to_local(lights))
+
+    def fog(self, node: nodes.Fog, to_world: np.ndarray) -> Fog:
+        return Fog(
+            color=self.floats(node.color),
+            visibility_range=self.floats(node.visibility_range),
+            to_local=self.floats(np.linalg.inv(to_world[:, :3])),
+            fog_type=node.fog_type,  # type: ignore[arg-type]  # checked when the node was made
+            name=node.name,
+        )

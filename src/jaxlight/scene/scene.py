@@ -1,0 +1,143 @@
+"""The Scene pytree: what the lighting equation reads, every number a leaf, every field as the user wrote it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import equinox as eqx
+from jaxtyping import Array, Bool, Float
+
+if TYPE_CHECKING:
+    from . import nodes
+    from .document import Document
+
+
+class Surface(NamedTuple):
+    """How the samples of a kind of shape get their colour: one row of tables 17.2 / 17.3 (static)."""
+
+    lighting: Literal["lit", "unlit", "emissive"]
+    """`lit`: table 17.3 and the equation; `unlit`: table 17.2; `emissive`: lines and points that have a Material."""
+    material: int = -1
+    """Row in `Scene.materials`; -1: none."""
+    texture: int = -1
+    """Row in `Scene.textures`; -1: none."""
+    color_components: int = 0
+    """Components of the shape's per-vertex or per-face colours: 0 (none), 3 or 4."""
+
+
+class Materials(eqx.Module):
+    """The scene's Material nodes, one row each (X3D 12.4.4, 17.2.2.4). Colours are RGB; all fields in [0, 1]."""
+
+    ambient_intensity: Float[Array, materials]
+    diffuse_color: Float[Array, "materials 3"]
+    emissive_color: Float[Array, "materials 3"]
+    shininess: Float[Array, materials]
+    specular_color: Float[Array, "materials 3"]
+    transparency: Float[Array, materials]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+
+class DirectionalLights(eqx.Module):
+    """The scene's DirectionalLight nodes, one row each (X3D 17.4.1); `direction` in the light's own frame, any length.
+
+    `to_world` maps vectors of the light's frame to the world; `in_scope` says which surfaces a light may reach.
+    """
+
+    ambient_intensity: Float[Array, lights]
+    color: Float[Array, "lights 3"]
+    direction: Float[Array, "lights 3"]
+    intensity: Float[Array, lights]
+    on: Bool[Array, lights]
+    in_scope: Bool[Array, "surfaces lights"]
+    to_world: Float[Array, "lights 3 4"]
+    names: tuple[str, ...] = eqx.field(static=True)
+    headlight: bool = eqx.field(static=True, default=False)
+    """True: the last row is the browser's headlight, whose frame is the camera of the samples."""
+
+
+class PointLights(eqx.Module):
+    """The scene's PointLight nodes, one row each (X3D 17.4.2); lengths and places in the light's own frame.
+
+    `to_world` maps the light's frame to the world; `to_local` is the inverse of its linear part.
+    """
+
+    ambient_intensity: Float[Array, lights]
+    attenuation: Float[Array, "lights 3"]
+    color: Float[Array, "lights 3"]
+    intensity: Float[Array, lights]
+    location: Float[Array, "lights 3"]
+    radius: Float[Array, lights]
+    on: Bool[Array, lights]
+    in_scope: Bool[Array, "surfaces lights"]
+    to_world: Float[Array, "lights 3 4"]
+    to_local: Float[Array, "lights 3 3"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+
+class SpotLights(eqx.Module):
+    """The scene's SpotLight nodes, one row each (X3D 17.4.3); angles in radians; otherwise as PointLights."""
+
+    ambient_intensity: Float[Array, lights]
+    attenuation: Float[Array, "lights 3"]
+    beam_width: Float[Array, lights]
+    color: Float[Array, "lights 3"]
+    cut_off_angle: Float[Array, lights]
+    direction: Float[Array, "lights 3"]
+    intensity: Float[Array, lights]
+    location: Float[Array, "lights 3"]
+    radius: Float[Array, lights]
+    on: Bool[Array, lights]
+    in_scope: Bool[Array, "surfaces lights"]
+    to_world: Float[Array, "lights 3 4"]
+    to_local: Float[Array, "lights 3 3"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+
+class Fog(eqx.Module):
+    """The bound Fog node (X3D 24.4.2, table 17.5); `to_local` maps world vectors to the fog's coordinate system."""
+
+    color: Float[Array, 3]
+    visibility_range: Float[Array, ""]
+    to_local: Float[Array, "3 3"]
+    fog_type: Literal["LINEAR", "EXPONENTIAL"] = eqx.field(static=True)
+    name: str = eqx.field(static=True, default="")
+
+
+class Texture(eqx.Module):
+    """One texture: values in [0, 1], row 0 at the bottom (t = 0), one to four components (X3D 18.2.2)."""
+
+    image: Float[Array, "height width components"]
+    name: str = eqx.field(static=True, default="")
+
+
+class Scene(eqx.Module):
+    """A scene as the lighting equation reads it: a pytree whose every number is a leaf.
+
+    A kind of light that the scene lacks is None. `document` holds what is not differentiated: the nodes the scene
+    came from, the placed shapes, viewpoints and background.
+    """
+
+    materials: Materials | None
+    directional: DirectionalLights | None
+    point: PointLights | None
+    spot: SpotLights | None
+    fog: Fog | None
+    textures: tuple[Texture, ...]
+    surfaces: tuple[Surface, ...] = eqx.field(static=True)
+    document: Document = eqx.field(static=True)
+
+    @classmethod
+    def from_nodes(cls, children: nodes.Node | Sequence[nodes.Node], *, dtype: Any = None) -> Scene:
+        """The scene that these X3D nodes describe: transforms flattened, scopes and repeated nodes resolved.
+
+        Args:
+            children: the scene's root nodes.
+            dtype: type of the leaves, float32 or float64; default: JAX's (float64 when x64 is enabled).
+
+        Raises:
+            ValueError: nesting or size beyond the stated limits, or a singular Transform.
+        """
+        from .flatten import scene_from_nodes
+
+        return scene_from_nodes(children, dtype=dtype)
