@@ -1,1 +1,59 @@
-"""Differentiable VRML97 / X3D lighting for material and light fitting."""
+"""Differentiable VRML97 / X3D lighting for material and light fitting.
+
+This file is the public door. Each name is imported from its stage when it is first used, so that `import jaxlight`
+(and with it `jaxlight --help`) is quick and touches no device, no configuration and no array.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import types
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .raster import SampleBuffer as SampleBuffer
+    from .scene import DirectionalLights as DirectionalLights
+    from .scene import Fog as Fog
+    from .scene import Materials as Materials
+    from .scene import PointLights as PointLights
+    from .scene import Scene as Scene
+    from .scene import SpotLights as SpotLights
+    from .scene import Surface as Surface
+    from .scene import Texture as Texture
+    from .scene import nodes as nodes
+
+_STAGES = {
+    "scene": [
+        "DirectionalLights", "Fog", "Materials", "PointLights", "Scene", "SpotLights", "Surface", "Texture", "nodes",
+    ],
+    "raster": ["SampleBuffer"],
+}  # fmt: skip
+_STAGE_OF = {name: stage for stage, names in _STAGES.items() for name in names}
+
+__all__ = list(_STAGE_OF)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version(__name__)
+    if name not in _STAGE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_STAGE_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_STAGE_OF, "__version__"})
+
+
+class _Door(types.ModuleType):
+    """Keeps `jaxlight.fit` the function: importing the folder of the same name would put the module in its place."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _STAGE_OF and isinstance(value, types.ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Door
