@@ -34,13 +34,13 @@ class SampleBuffer(eqx.Module):
     texel_index: Int[Array, "4 slots"] | None
     """The four texels (row * width + column) around each sample in its surface's texture, or None."""
     texel_weight: Float[Array, "4 slots"] | None
-    pixel_slots: Int[Array, slots] | None
+    pixel_slots: Int[Array, " slots"] | None
     """Pixel (row * width + column, row 0 at the top) of each slot; padding holds height * width."""
-    coverage_slots: Float[Array, slots] | None
+    coverage_slots: Float[Array, " slots"] | None
     """Share of its pixel that a sample stands for (1 / samples-per-pixel); padding holds 0. None: 1."""
-    slot: Int[Array, samples] | None
+    slot: Int[Array, " samples"] | None
     """Slot of each sample; None when sample i lies in slot i."""
-    tile_surface: Int[Array, tiles]
+    tile_surface: Int[Array, " tiles"]
     """Row in `Scene.surfaces` of each tile."""
     runs: tuple[tuple[int, int, int], ...] = eqx.field(static=True)
     """(surface, first tile, tile after the last) in storage order."""
@@ -155,17 +155,17 @@ class SampleBuffer(eqx.Module):
         return None if self.color_planes is None else self.in_sample_order(self.color_planes).T
 
     @property
-    def surface(self) -> Int[Array, samples]:
+    def surface(self) -> Int[Array, " samples"]:
         """Row in `Scene.surfaces` of each sample."""
         return self.in_sample_order(jnp.repeat(self.tile_surface, self.tile))
 
     @property
-    def pixel(self) -> Int[Array, samples] | None:
+    def pixel(self) -> Int[Array, " samples"] | None:
         """Pixel of each sample, row * width + column, row 0 at the top; or None."""
         return None if self.pixel_slots is None else self.in_sample_order(self.pixel_slots)
 
     @property
-    def coverage(self) -> Float[Array, samples] | None:
+    def coverage(self) -> Float[Array, " samples"] | None:
         """Share of its pixel that each sample stands for; None: 1."""
         return None if self.coverage_slots is None else self.in_sample_order(self.coverage_slots)
 

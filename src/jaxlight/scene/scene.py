@@ -29,12 +29,12 @@ class Surface(NamedTuple):
 class Materials(eqx.Module):
     """The scene's Material nodes, one row each (X3D 12.4.4, 17.2.2.4). Colours are RGB; all fields in [0, 1]."""
 
-    ambient_intensity: Float[Array, materials]
+    ambient_intensity: Float[Array, " materials"]
     diffuse_color: Float[Array, "materials 3"]
     emissive_color: Float[Array, "materials 3"]
-    shininess: Float[Array, materials]
+    shininess: Float[Array, " materials"]
     specular_color: Float[Array, "materials 3"]
-    transparency: Float[Array, materials]
+    transparency: Float[Array, " materials"]
     names: tuple[str, ...] = eqx.field(static=True)
 
 
@@ -44,11 +44,11 @@ class DirectionalLights(eqx.Module):
     `to_world` maps vectors of the light's frame to the world; `in_scope` says which surfaces a light may reach.
     """
 
-    ambient_intensity: Float[Array, lights]
+    ambient_intensity: Float[Array, " lights"]
     color: Float[Array, "lights 3"]
     direction: Float[Array, "lights 3"]
-    intensity: Float[Array, lights]
-    on: Bool[Array, lights]
+    intensity: Float[Array, " lights"]
+    on: Bool[Array, " lights"]
     in_scope: Bool[Array, "surfaces lights"]
     to_world: Float[Array, "lights 3 4"]
     names: tuple[str, ...] = eqx.field(static=True)
@@ -62,13 +62,13 @@ class PointLights(eqx.Module):
     `to_world` maps the light's frame to the world; `to_local` is the inverse of its linear part.
     """
 
-    ambient_intensity: Float[Array, lights]
+    ambient_intensity: Float[Array, " lights"]
     attenuation: Float[Array, "lights 3"]
     color: Float[Array, "lights 3"]
-    intensity: Float[Array, lights]
+    intensity: Float[Array, " lights"]
     location: Float[Array, "lights 3"]
-    radius: Float[Array, lights]
-    on: Bool[Array, lights]
+    radius: Float[Array, " lights"]
+    on: Bool[Array, " lights"]
     in_scope: Bool[Array, "surfaces lights"]
     to_world: Float[Array, "lights 3 4"]
     to_local: Float[Array, "lights 3 3"]
@@ -78,16 +78,16 @@ class PointLights(eqx.Module):
 class SpotLights(eqx.Module):
     """The scene's SpotLight nodes, one row each (X3D 17.4.3); angles in radians; otherwise as PointLights."""
 
-    ambient_intensity: Float[Array, lights]
+    ambient_intensity: Float[Array, " lights"]
     attenuation: Float[Array, "lights 3"]
-    beam_width: Float[Array, lights]
+    beam_width: Float[Array, " lights"]
     color: Float[Array, "lights 3"]
-    cut_off_angle: Float[Array, lights]
+    cut_off_angle: Float[Array, " lights"]
     direction: Float[Array, "lights 3"]
-    intensity: Float[Array, lights]
+    intensity: Float[Array, " lights"]
     location: Float[Array, "lights 3"]
-    radius: Float[Array, lights]
-    on: Bool[Array, lights]
+    radius: Float[Array, " lights"]
+    on: Bool[Array, " lights"]
     in_scope: Bool[Array, "surfaces lights"]
     to_world: Float[Array, "lights 3 4"]
     to_local: Float[Array, "lights 3 3"]
