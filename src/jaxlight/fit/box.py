@@ -1,0 +1,67 @@
+"""Minimum of a convex quadratic in a box: the step of a bounded fit is found exactly, active bounds and all."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+
+class _State(NamedTuple):
+    point: Float[Array, " n"]
+    round: Int[Array, ""]
+    done: Bool[Array, ""]
+
+
+def minimise_in_box(
+    hessian: Float[Array, "n n"], gradient: Float[Array, " n"], lower: Float[Array, " n"], upper: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    """argmin of 1/2 z^T H z + g^T z subject to lower <= z <= upper, for H positive definite and well scaled.
+
+    Projected Newton (Bertsekas 1982): hold the variables that press against a bound, solve for the others, follow the
+    projected path and keep the best of a few points on it; the first bound met on the way is always among them, so
+    the quadratic falls in every round and the set of held variables settles after a few.
+
+    Args:
+        hessian: H, unit diagonal or larger.
+        gradient: g.
+        lower, upper: the box; it contains 0.
+    """
+    eps = jnp.finfo(gradient.dtype).eps
+    size = gradient.shape[0]
+    fractions = 0.5 ** jnp.arange(8, dtype=gradient.dtype)
+    enough = 4 * eps * jnp.max(jnp.abs(gradient))
+
+    def slope(point: Array) -> Array:
+        return jnp.matmul(hessian, point, precision="highest") + gradient
+
+    def value(point: Array) -> Array:
+        return jnp.vdot(point, slope(point) + gradient, precision="highest") / 2
+
+    def improve(state: _State) -> _State:
+        point, grad = state.point, slope(state.point)
+        held = ((point <= lower) & (grad > 0)) | ((point >= upper) & (grad < 0))
+        move = jnp.where(held, 0, _solve_free(hessian, -grad, ~held))
+        room = jnp.where(move > 0, upper - point, lower - point)
+        limit = jnp.min(jnp.where(move != 0, room / jnp.where(move != 0, move, 1), jnp.inf))
+        lengths = jnp.concatenate([fractions, jnp.minimum(limit, 1)[None]])
+        trials = jnp.clip(point + lengths[:, None] * move, lower, upper)
+        values = jax.vmap(value)(trials)
+        best = jnp.argmin(jnp.where(jnp.isnan(values), jnp.inf, values))
+        better = values[best] < value(point)
+        point = jnp.where(better, trials[best], point)
+        left = jnp.clip(point - slope(point), lower, upper) - point
+        return _State(point, state.round + 1, ~better | (jnp.max(jnp.abs(left)) <= enough))
+
+    start = _State(jnp.zeros_like(gradient), jnp.array(0), jnp.array(False))
+    return jax.lax.while_loop(lambda s: ~s.done & (s.round < 4 * size + 8), improve, start).point
+
+
+def _solve_free(matrix: Array, right: Array, free: Array) -> Array:
+    """Solution of the rows and columns in `free`; 0 elsewhere."""
+    both = free[:, None] & free[None, :]
+    system = jnp.where(both, matrix, jnp.eye(matrix.shape[0], dtype=matrix.dtype))
+    factor = jax.scipy.linalg.cho_factor(system, lower=True)
+    return jax.scipy.linalg.cho_solve(factor, jnp.where(free, right, 0))

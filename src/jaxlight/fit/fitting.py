@@ -1,0 +1,282 @@
+"""`fit`: find the free fields of a scene that make its render look like the pictures."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+import optimistix as optx
+
+from ..scene.scene import Scene
+from . import normal
+from .problem import Description, LossKind, Problem, make_problem
+from .run import FitState, advance, begin, finished, make_solver
+from .solver import BoundedLevenbergMarquardt
+from .views import View, ViewData
+
+Outcome = Literal["converged", "max_steps", "stalled", "nonfinite", "interrupted"]
+
+
+class Step(NamedTuple):
+    """One evaluation of a fit, as progress and logs show it."""
+
+    step: int
+    """0 is the evaluation of the start."""
+    accepted: bool
+    loss: float
+    """At the best values so far."""
+    rms: float
+    """Root mean square of the weighted residuals that this loss means."""
+    gradient: float
+    """Largest slope that no bound holds back, in units of its column's norm: the residual it could still explain."""
+    damping: float
+    step_norm: float
+    """Size of the undamped step relative to the tolerance; below 1 is converged."""
+    seconds: float
+    """Since the fit began, compilation included."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fit:
+    """What a fit found, and how much of it to believe.
+
+    `outcome` is "converged" only if the solver met its tolerance; `message` says in words what happened.
+    """
+
+    scene: Scene
+    """The scene with the fitted values."""
+    exposure: np.ndarray
+    """The exposure of each view."""
+    values: np.ndarray
+    """The free numbers, in the order of `labels`."""
+    labels: tuple[str, ...]
+    loss: float
+    rms: float
+    outcome: Outcome
+    message: str
+    history: tuple[Step, ...]
+    problem: Problem
+    description: Description
+    state: FitState
+
+    @property
+    def converged(self) -> bool:
+        """True if the solver met its tolerance."""
+        return self.outcome == "converged"
+
+    @property
+    def accepted_steps(self) -> int:
+        """Steps that lowered the loss; the evaluation of the start is none."""
+        return sum(step.accepted for step in self.history[1:])
+
+    def value(self, path: str) -> np.ndarray:
+        """The fitted value of one free field, by its canonical path.
+
+        Raises:
+            ValueError: the field was not free.
+        """
+        for field in self.description.fields:
+            if field.path == path:
+                return self.values[field.numbers].reshape(-1 if len(field.numbers) > 1 else ())
+        raise ValueError(f"{path!r} was not free; free: {', '.join(field.path for field in self.description.fields)}")
+
+    def residual_image(self, view: int = 0) -> np.ndarray:
+        """Weighted residual (model - target) of one view: [height, width, 3], NaN where nothing was seen; or [N, 3]."""
+        return residual_image(self.problem, self.values, view)
+
+    def __str__(self) -> str:
+        lines = [self.message]
+        width = max(len(label) for label in self.labels)
+        start = np.asarray(self.problem.parameters.start)
+        lower, upper = np.asarray(self.problem.parameters.lower), np.asarray(self.problem.parameters.upper)
+        for i, (label, value) in enumerate(zip(self.labels, self.values, strict=True)):
+            at_bound = "  (at its bound)" if value in (lower[i], upper[i]) else ""
+            lines.append(f"  {label:<{width}}  {start[i]:>12.6g} -> {value:>12.6g}{at_bound}")
+        return "\n".join(lines)
+
+
+def fit(
+    scene: Scene,
+    views: View | Sequence[View],
+    free: Any,
+    *,
+    loss: LossKind = "squares",
+    loss_scale: float | None = None,
+    max_steps: int = 100,
+    rtol: float | None = None,
+    atol: float | None = None,
+    progress: Callable[[Step], Any] | None = None,
+) -> Fit:
+    """Fit the free fields of a scene to one or many views by bounded Levenberg-Marquardt.
+
+    Args:
+        scene: start values of the free fields, and the values of all others.
+        views: the pictures, each with its samples.
+        free: field paths ("Material[body].diffuse_color", "PointLight[*].intensity", "View[*].exposure"), functions
+            of the scene (`lambda s: s.materials.shininess`) or `Free`s; a mapping from path to options of `Free`.
+        loss: "squares"; "huber" and "cauchy" forgive residuals larger than `loss_scale`.
+        max_steps: evaluations at most; reaching it is never reported as success.
+        rtol, atol: relative and absolute tolerance of the parameters (default: what the precision can reach).
+        progress: called with a `Step` after each evaluation; an interrupt (Ctrl-C) returns the best so far.
+
+    Raises:
+        ValueError: a path, shape, bound or value that does not fit, found before anything is compiled.
+    """
+    problem, description = make_problem(scene, views, free, loss=loss, loss_scale=loss_scale)
+    solver = make_solver(problem, rtol=rtol, atol=atol)
+    return run_fit(problem, description, solver, max_steps=max_steps, progress=progress)
+
+
+def run_fit(
+    problem: Problem,
+    description: Description,
+    solver: BoundedLevenbergMarquardt,
+    *,
+    max_steps: int = 100,
+    state: FitState | None = None,
+    progress: Callable[[Step], Any] | None = None,
+) -> Fit:
+    """Drive a fit from its beginning, or from a saved state, to its end."""
+    if max_steps < 1:
+        raise ValueError(f"max_steps: expected at least 1, got {max_steps}")
+    history: list[Step] = []
+    state = begin(problem, solver) if state is None else state
+    interrupted = False
+    try:
+        for new_state, step in _steps(problem, description, solver, state, max_steps):
+            state = new_state
+            history.append(step)
+            if progress is not None:
+                progress(step)
+    except KeyboardInterrupt:
+        interrupted = True
+    return make_fit(problem, description, state, history, interrupted=interrupted)
+
+
+def _steps(
+    problem: Problem, description: Description, solver: Any, state: FitState, max_steps: int
+) -> Iterator[tuple[FitState, Step]]:
+    began = time.monotonic()
+    # The start's evaluation comes on top: max_steps counts trials.
+    while not finished(state) and int(state.solver.num_steps) <= max_steps:
+        state = advance(problem, solver, state)
+        yield state, describe_step(problem, description, state, time.monotonic() - began)
+
+
+def describe_step(problem: Problem, description: Description, state: FitState, seconds: float) -> Step:
+    """What the last evaluation did, on the host."""
+    inner, parameters = state.solver, problem.parameters
+    norms = np.sqrt(np.maximum(np.diagonal(np.asarray(inner.curvature)), 0))
+    slope, values = np.asarray(inner.gradient), np.asarray(state.values)
+    held = ((values <= np.asarray(parameters.lower)) & (slope > 0)) | (
+        (values >= np.asarray(parameters.upper)) & (slope < 0)
+    )
+    gradient = np.where(held, 0, np.abs(slope)) / np.where(norms > 0, norms, 1)
+    value = float(inner.loss)
+    return Step(
+        step=int(inner.num_steps) - 1,
+        accepted=bool(inner.accepted),
+        loss=value,
+        rms=_rms(value, description.residuals),
+        gradient=float(np.max(gradient)),
+        damping=float(1 / inner.search_state.step_size),
+        step_norm=float(inner.step_norm),
+        seconds=seconds,
+    )
+
+
+def make_fit(
+    problem: Problem,
+    description: Description,
+    state: FitState,
+    history: Sequence[Step],
+    *,
+    interrupted: bool = False,
+) -> Fit:
+    """The result for a state, finished or not."""
+    outcome = _outcome(state, interrupted)
+    value = float(state.solver.loss)
+    rms = _rms(value, description.residuals)
+    accepted, tried = int(state.solver.num_accepted_steps), max(int(state.solver.num_steps) - 1, 0)
+    return Fit(
+        scene=_world_at(problem, state.values).scene,
+        exposure=np.asarray(_world_at(problem, state.values).exposure),
+        values=np.asarray(state.values),
+        labels=tuple(description.labels),
+        loss=value,
+        rms=rms,
+        outcome=outcome,
+        message=_message(outcome, accepted, tried, rms),
+        history=tuple(history),
+        problem=problem,
+        description=description,
+        state=state,
+    )
+
+
+@eqx.filter_jit
+def _world_at(problem: Problem, values: Any) -> Any:
+    return problem.at(values)
+
+
+def _outcome(state: FitState, interrupted: bool) -> Outcome:
+    if bool(state.solver.result == optx.RESULTS.nonfinite):
+        return "nonfinite"
+    if bool(state.solver.terminate):
+        return "converged"
+    if bool(state.solver.result == optx.RESULTS.nonlinear_divergence):
+        return "stalled"
+    return "interrupted" if interrupted else "max_steps"
+
+
+def _message(outcome: Outcome, accepted: int, tried: int, rms: float) -> str:
+    trials = f"{accepted} steps ({tried} tried)"
+    return {
+        "converged": f"Converged in {trials}; residual RMS {rms:.3g}.",
+        "max_steps": f"Not converged: stopped after {trials}, the most that were allowed; residual RMS {rms:.3g}.",
+        "stalled": f"Not converged: after {trials} no step lowers the residual any more, although its slope says one "
+        f"should; residual RMS {rms:.3g}. The start may lie at a jump of the equation (a light's radius or cone).",
+        "nonfinite": "Failed: the loss or its derivative is not finite at the start values.",
+        "interrupted": f"Interrupted after {trials}, not converged; the best values so far are kept; "
+        f"residual RMS {rms:.3g}.",
+    }[outcome]
+
+
+def _rms(loss: float, count: int) -> float:
+    return float(np.sqrt(2 * loss / max(count, 1)))
+
+
+def residual_image(problem: Problem, values: Any, view: int) -> np.ndarray:
+    """See `Fit.residual_image`."""
+    for stack in problem.views:
+        for position, row in enumerate(np.asarray(stack.row).tolist()):
+            if row == view:
+                return _as_picture(*_residual_planes(problem, values, stack, position))
+    raise ValueError(f"view: expected a row of the {len(problem.world.exposure)} views, got {view}")
+
+
+@eqx.filter_jit
+def _residual_planes(problem: Problem, values: Any, stack: ViewData, position: Any) -> tuple[Any, ViewData]:
+    data = jax.tree.map(lambda leaf: leaf[position], stack)
+    return normal.residual_of_view(problem, problem.at(values), data), data
+
+
+def _as_picture(residual: Any, data: ViewData) -> np.ndarray:
+    samples = data.samples
+    if data.pixel is not None:
+        pixels = np.full(residual.shape[1] + 1, -1)
+        pixels[np.asarray(data.pixel)] = np.asarray(samples.pixel_slots)
+        rows, pixel = np.asarray(residual).T, pixels[:-1]
+    else:
+        rows = np.asarray(samples.in_sample_order(residual)).T
+        pixel = None if samples.pixel is None else np.asarray(samples.pixel)
+    if pixel is None or samples.width is None or samples.height is None:
+        return rows
+    picture = np.full((samples.height * samples.width, 3), np.nan, dtype=rows.dtype)
+    picture[pixel] = rows
+    return picture.reshape(samples.height, samples.width, 3)

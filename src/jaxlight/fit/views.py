@@ -1,0 +1,197 @@
+"""Views: what was photographed. A `View` is what a person writes, `ViewData` the same in the order of the samples."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..raster.samples import SampleBuffer
+from ..scene.paths import LIGHT_KINDS, light_rows
+from ..scene.scene import Scene
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class View:
+    """One picture to fit: the samples of its visible surface points and the colours seen there.
+
+    The picture's numbers must mean what `shade` returns: linear light where light adds up, or the plain numbers of an
+    X3D browser; decode an sRGB photograph first. The loss is half the sum of weight x (exposure x shade - target)^2.
+
+    Args:
+        samples: the sample buffer (`rasterize`, `samples_from_maps`, `SampleBuffer.create`).
+        target: [height, width, 3], row 0 at the top; or [N, 3] in sample order; without the 3 for a grey picture.
+        mask: [height, width] or [N], False where the picture is not to be fitted (cast shadows, other objects).
+        weight: weight of the squared residual, >= 0, shape of the mask or of the target; 1 / variance of the noise.
+        exposure: factor between the scene's light and the picture's numbers; free it as `View[0].exposure`.
+        lights: the lights that shone, such as `("PointLight[3]",)`; None: all lights of the scene.
+        saturated: values at or above are lower limits (the sensor was full), not measurements.
+        dark: values at or below are upper limits (nothing was recorded).
+        background: RGB or [height, width, 3]; shade's alpha and partly covered pixels are composited over it.
+            None: alpha is ignored and pixels that the samples do not cover entirely are left out.
+        name: how messages and paths name the view: `View[name].exposure`.
+    """
+
+    samples: SampleBuffer
+    target: Any
+    _: dataclasses.KW_ONLY
+    mask: Any = None
+    weight: Any = None
+    exposure: float = 1.0
+    lights: Sequence[str] | None = None
+    saturated: float | None = None
+    dark: float | None = None
+    background: Any = None
+    name: str = ""
+
+
+class ViewData(eqx.Module):
+    """A view on the device, in storage order: planes over slots, or over pixels where a pixel has several samples."""
+
+    samples: SampleBuffer
+    target: Float[Array, "3 points"]
+    root_weight: Float[Array, "channels points"]
+    """Square root of the weights; 0 for padding, masked and unseen points. One channel, or one a colour."""
+    saturated: Float[Array, ""]
+    dark: Float[Array, ""]
+    row: Int[Array, ""]
+    """Which view this is: row in `World.exposure`."""
+    lights: tuple[Int[Array, " lights"] | None, ...]
+    """Rows of the directional, point and spot lights that shone, or None for all of a kind."""
+    background: Float[Array, "3 points"] | None
+    pixel: Int[Array, " slots"] | None
+    """Row in the points of each slot when samples are gathered into pixels (padding: number of points); else None."""
+    share: Float[Array, " slots"] | None
+    """Share of its pixel that each slot stands for; goes with `pixel`."""
+
+
+def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
+    """Check a view and bring it into the order in which its samples are stored.
+
+    Raises:
+        ValueError: a shape, a value that is not finite, a light that does not exist; says which view and field.
+    """
+    label = f"View[{view.name or row}]"
+    samples = view.samples
+    if not isinstance(samples, SampleBuffer):
+        raise ValueError(f"{label}.samples: expected a SampleBuffer, got {type(samples).__name__}")
+    layout = _Layout.of(label, samples)
+    mask = np.ones(layout.points, dtype=bool)
+    if view.mask is not None:
+        mask = layout.points_of("mask", view.mask, grey=True)[:, 0] != 0
+    weight = np.ones((layout.points, 1))
+    if view.weight is not None:
+        weight = layout.points_of("weight", view.weight)
+        if not np.all(np.isfinite(weight) & (weight >= 0)):
+            raise ValueError(f"{label}.weight: every weight must be finite and >= 0")
+    background = None
+    if view.background is not None:
+        background = np.asarray(view.background, dtype=np.float64)
+        background = background[None].repeat(layout.points, 0) if background.shape == (3,) else None
+        if background is None:
+            background = layout.points_of("background", view.background)
+    elif layout.covered is not None:
+        mask &= layout.covered > 1 - 1e-6
+    target = layout.points_of("target", view.target)
+    used = mask & np.any(weight > 0, axis=1)
+    bad = used & ~np.all(np.isfinite(target), axis=1)
+    if np.any(bad):
+        raise ValueError(
+            f"{label}.target: {np.count_nonzero(bad)} of {np.count_nonzero(used)} used points are not finite "
+            f"(first: {layout.where(int(np.argmax(bad)))}); leave them out with `mask`"
+        )
+    if not np.any(used):
+        raise ValueError(f"{label}: mask, weight and coverage leave no point to fit")
+    if not (np.isfinite(view.exposure) and view.exposure > 0):
+        raise ValueError(f"{label}.exposure: expected a finite number > 0, got {view.exposure!r}")
+    target = np.broadcast_to(np.where(used[:, None], target, 0.0), (layout.points, 3))
+    root_weight = np.sqrt(weight) * used[:, None]
+    rows = None if view.lights is None else light_rows(scene, view.lights)
+    return ViewData(
+        samples=samples,
+        target=layout.stored(target, dtype),
+        root_weight=layout.stored(root_weight, dtype),
+        saturated=jnp.asarray(np.inf if view.saturated is None else view.saturated, dtype=dtype),
+        dark=jnp.asarray(-np.inf if view.dark is None else view.dark, dtype=dtype),
+        row=jnp.asarray(row, dtype=jnp.int32),
+        lights=(None,) * 3 if rows is None else tuple(jnp.asarray(rows[kind]) for kind in LIGHT_KINDS),
+        background=None if background is None else layout.stored(background, dtype),
+        pixel=None if layout.pixel is None else jnp.asarray(layout.pixel, dtype=jnp.int32),
+        share=None if layout.share is None else jnp.asarray(layout.share, dtype=dtype),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Layout:
+    """How the points of a picture (pixels or samples) lie in the storage of its samples."""
+
+    label: str
+    samples: SampleBuffer
+    points: int
+    source: np.ndarray
+    """Per stored point: row among the samples, or pixel among the pixels that samples gather into."""
+    is_padding: np.ndarray
+    image_index: np.ndarray | None
+    """Pixel of each point, when the buffer knows pixels."""
+    pixel: np.ndarray | None
+    share: np.ndarray | None
+    covered: np.ndarray | None
+
+    @classmethod
+    def of(cls, label: str, samples: SampleBuffer) -> _Layout:
+        slots = samples.position_planes.shape[1]
+        source = np.zeros(slots, dtype=np.int64)
+        is_padding = np.ones(slots, dtype=bool)
+        slot = np.arange(samples.count) if samples.slot is None else np.asarray(samples.slot)
+        source[slot] = np.arange(samples.count)
+        is_padding[slot] = False
+        if samples.pixel is None:
+            return cls(label, samples, samples.count, source, is_padding, None, None, None, None)
+        pixels = np.asarray(samples.pixel)
+        share = np.ones(samples.count) if samples.coverage is None else np.asarray(samples.coverage, dtype=np.float64)
+        distinct, point = np.unique(pixels, return_inverse=True)
+        if len(distinct) == len(pixels) and np.all(share == 1):
+            return cls(label, samples, samples.count, source, is_padding, pixels, None, None, None)
+        pixel_of_slot = np.where(is_padding, len(distinct), point[source])
+        share_of_slot = np.where(is_padding, 0.0, share[source])
+        covered = np.bincount(point, share, len(distinct))
+        points = np.arange(len(distinct))
+        return cls(
+            label, samples, len(distinct), points, np.zeros(len(points), bool), distinct,
+            pixel_of_slot, share_of_slot, covered,
+        )  # fmt: skip
+
+    def points_of(self, field: str, value: Any, *, grey: bool = False) -> np.ndarray:
+        """[points, 3] (or [points, 1]) from a picture or from rows in sample order."""
+        try:
+            array = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError(f"{self.label}.{field}: expected numbers, got {value!r:.60}") from None
+        height, width = self.samples.height, self.samples.width
+        shapes: list[tuple[int, ...]] = []
+        if self.image_index is not None:
+            shapes.append((height or 0, width or 0))
+        if self.pixel is None:
+            shapes.append((self.samples.count,))
+        tails = ((),) if grey else ((), (1,), (3,))
+        for shape in shapes:
+            if array.shape in [(*shape, *tail) for tail in tails]:
+                rows = array.reshape(int(np.prod(shape)), -1)
+                return rows[self.image_index] if len(shape) == 2 and self.image_index is not None else rows
+        allowed = " or ".join(str([*shape, *([] if grey else [3])]) for shape in shapes)
+        raise ValueError(f"{self.label}.{field}: expected shape {allowed}, got {list(array.shape)}")
+
+    def stored(self, rows: np.ndarray, dtype: Any) -> Any:
+        """[points, channels] -> planes [channels, stored points], padding 0."""
+        return jnp.asarray(np.where(self.is_padding[:, None], 0.0, rows[self.source]).T, dtype=dtype)
+
+    def where(self, point: int) -> str:
+        if self.image_index is None or self.samples.width is None:
+            return f"sample {point}"
+        row, column = divmod(int(self.image_index[point]), self.samples.width)
+        return f"row {row}, column {column}"
