@@ -12,6 +12,10 @@ import types
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .fit import Fit as Fit
+    from .fit import Free as Free
+    from .fit import View as View
+    from .fit import fit as fit
     from .raster import SampleBuffer as SampleBuffer
     from .scene import DirectionalLights as DirectionalLights
     from .scene import Fog as Fog
@@ -28,6 +32,7 @@ _STAGES = {
         "DirectionalLights", "Fog", "Materials", "PointLights", "Scene", "SpotLights", "Surface", "Texture", "nodes",
     ],
     "raster": ["SampleBuffer"],
+    "fit": ["Fit", "Free", "View", "fit"],
 }  # fmt: skip
 _STAGE_OF = {name: stage for stage, names in _STAGES.items() for name in names}
 
