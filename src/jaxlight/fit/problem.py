@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..scene.flags import Flags
 from ..scene.scene import Scene
 from .parameters import FreeField, Parameters, World, free_parameters
 from .views import View, ViewData, view_data
@@ -114,12 +115,14 @@ def scene_of_view(world: World, view: ViewData) -> Scene:
 
 def _take_lights(lights: Any, rows: Array) -> Any:
     changes = {
-        field.name: jnp.take(getattr(lights, field.name), rows, axis=1 if field.name == "in_scope" else 0)
+        field.name: jnp.take(getattr(lights, field.name), rows, axis=0)
         for field in dataclasses.fields(lights)
         if not field.metadata.get("static", False)
     }
     # Names stay on the host side of a fit; here they would only tell equal programs apart.
-    return dataclasses.replace(lights, **changes, names=("",) * rows.shape[0])
+    count = rows.shape[0]
+    in_scope = Flags(np.ones((lights.in_scope.array.shape[0], count)))
+    return dataclasses.replace(lights, **changes, names=("",) * count, on=Flags(np.ones(count)), in_scope=in_scope)
 
 
 def _stack(views: list[ViewData]) -> tuple[ViewData, ...]:

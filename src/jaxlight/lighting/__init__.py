@@ -1,0 +1,7 @@
+"""The lighting equation on sample buffers: pure, jitted, differentiable."""
+
+from .options import LightingOptions as LightingOptions
+from .plan import Plan as Plan
+from .plan import make_plan as make_plan
+from .shade import shade as shade
+from .shade import shade_planes as shade_planes

@@ -25,7 +25,7 @@ class SampleBuffer(eqx.Module):
 
     position_planes: Float[Array, "3 slots"]
     normal_planes: Float[Array, "3 slots"]
-    eye: Float[Array, 3]
+    eye: Float[Array, "3"]
     """The viewer's position."""
     camera_to_world: Float[Array, "3 3"] | None
     """Rotation from camera axes (x right, y up, looking along -z) to the world; aims the headlight."""
@@ -42,6 +42,9 @@ class SampleBuffer(eqx.Module):
     """Slot of each sample; None when sample i lies in slot i."""
     tile_surface: Int[Array, " tiles"]
     """Row in `Scene.surfaces` of each tile."""
+    tile_low: Float[Array, "3 tiles"]
+    """Lowest coordinates of the samples of each tile; `tile_high`: the highest."""
+    tile_high: Float[Array, "3 tiles"]
     runs: tuple[tuple[int, int, int], ...] = eqx.field(static=True)
     """(surface, first tile, tile after the last) in storage order."""
     count: int = eqx.field(static=True)
@@ -113,6 +116,7 @@ class SampleBuffer(eqx.Module):
         def slots(values: np.ndarray | None, padding: float) -> Any:
             return None if values is None else np.where(layout.is_padding, padding, values[layout.source])
 
+        in_tiles = position[layout.source].reshape(-1, layout.tile, 3)
         index = None if texel_index is None else np.ascontiguousarray(texel_index[layout.source].T)
         pixels = slots(pixel, (width or 0) * (height or 0))
         share = slots(coverage, 0.0)
@@ -128,6 +132,8 @@ class SampleBuffer(eqx.Module):
             coverage_slots=None if share is None else jnp.asarray(share, dtype=dtype),
             slot=None if layout.slot is None else jnp.asarray(layout.slot, dtype=jnp.int32),
             tile_surface=jnp.asarray(layout.tile_surface, dtype=jnp.int32),
+            tile_low=jnp.asarray(in_tiles.min(axis=1).T, dtype=dtype),
+            tile_high=jnp.asarray(in_tiles.max(axis=1).T, dtype=dtype),
             runs=layout.runs,
             count=count,
             tile=layout.tile,

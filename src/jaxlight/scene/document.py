@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -41,3 +42,5 @@ class Document:
     spot: tuple[nodes.SpotLight, ...]
     textures: tuple[nodes.ImageTexture | nodes.PixelTexture, ...]
     fog: nodes.Fog | None
+    source: Any = None
+    """What the formats stage keeps of the file that the nodes were read from, to write the scene back into it."""

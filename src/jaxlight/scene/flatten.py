@@ -11,6 +11,7 @@ import numpy as np
 
 from . import nodes
 from .document import Document, PlacedShape, PlacedViewpoint
+from .flags import Flags
 from .scene import DirectionalLights, Fog, Materials, PointLights, Scene, SpotLights, Surface, Texture
 from .transforms import IDENTITY, compose, transform_matrix
 
@@ -168,8 +169,8 @@ class _Stack:
         rows = [light for light, _, _ in lights]
         return {
             **self._fields(rows, "ambient_intensity", "color", "intensity", *names),
-            "on": jnp.asarray([light.on for light in rows]),
-            "in_scope": jnp.asarray(np.stack([scope for _, _, scope in lights], axis=1)),
+            "on": Flags([light.on for light in rows]),
+            "in_scope": Flags(np.stack([scope for _, _, scope in lights], axis=1)),
             "to_world": self.floats([to_world for _, to_world, _ in lights]),
             "names": tuple(light.name for light in rows),
         }

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import equinox as eqx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
+
+from .flags import Flags
 
 if TYPE_CHECKING:
     from . import nodes
@@ -41,16 +43,17 @@ class Materials(eqx.Module):
 class DirectionalLights(eqx.Module):
     """The scene's DirectionalLight nodes, one row each (X3D 17.4.1); `direction` in the light's own frame, any length.
 
-    `to_world` maps vectors of the light's frame to the world; `in_scope` says which surfaces a light may reach.
+    `to_world` maps vectors of the light's frame to the world; `on` [lights] and
+    `in_scope` [surfaces, lights] (which surfaces a light may reach) are static.
     """
 
     ambient_intensity: Float[Array, " lights"]
     color: Float[Array, "lights 3"]
     direction: Float[Array, "lights 3"]
     intensity: Float[Array, " lights"]
-    on: Bool[Array, " lights"]
-    in_scope: Bool[Array, "surfaces lights"]
     to_world: Float[Array, "lights 3 4"]
+    on: Flags = eqx.field(static=True)
+    in_scope: Flags = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
     headlight: bool = eqx.field(static=True, default=False)
     """True: the last row is the browser's headlight, whose frame is the camera of the samples."""
@@ -68,10 +71,10 @@ class PointLights(eqx.Module):
     intensity: Float[Array, " lights"]
     location: Float[Array, "lights 3"]
     radius: Float[Array, " lights"]
-    on: Bool[Array, " lights"]
-    in_scope: Bool[Array, "surfaces lights"]
     to_world: Float[Array, "lights 3 4"]
     to_local: Float[Array, "lights 3 3"]
+    on: Flags = eqx.field(static=True)
+    in_scope: Flags = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
 
 
@@ -87,17 +90,17 @@ class SpotLights(eqx.Module):
     intensity: Float[Array, " lights"]
     location: Float[Array, "lights 3"]
     radius: Float[Array, " lights"]
-    on: Bool[Array, " lights"]
-    in_scope: Bool[Array, "surfaces lights"]
     to_world: Float[Array, "lights 3 4"]
     to_local: Float[Array, "lights 3 3"]
+    on: Flags = eqx.field(static=True)
+    in_scope: Flags = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
 
 
 class Fog(eqx.Module):
     """The bound Fog node (X3D 24.4.2, table 17.5); `to_local` maps world vectors to the fog's coordinate system."""
 
-    color: Float[Array, 3]
+    color: Float[Array, "3"]
     visibility_range: Float[Array, ""]
     to_local: Float[Array, "3 3"]
     fog_type: Literal["LINEAR", "EXPONENTIAL"] = eqx.field(static=True)

@@ -1,0 +1,209 @@
+"""What a scene needs: decided once, outside jit, as a small hashable value that is static to the compiled function.
+
+A term is skipped when the numbers it would use are known (not traced) and not free, and give exactly zero. Traced
+values (inside jit, grad, vmap) and the fields a caller declares free are never skipped.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NamedTuple
+
+import jax
+import numpy as np
+
+from ..raster.samples import SampleBuffer
+from ..scene import DirectionalLights, PointLights, Scene, SpotLights
+from .options import LightingOptions
+
+Frame = Literal["identity", "similarity", "general"]
+
+
+class LightPlan(NamedTuple):
+    """What the lights of one kind need."""
+
+    rows: tuple[int, ...] | None
+    """The rows that can contribute; None: all."""
+    headlight: bool
+    """Whether the last of these rows is the browser's headlight."""
+    frame: Frame
+    ambient: bool
+    scoped: bool
+    """Whether some of these lights do not reach some surface."""
+    attenuation: Literal["linear", "quadratic"] | None
+    radius: bool
+
+
+class FogPlan(NamedTuple):
+    """Which fog; whether its frame measures distances as the world does."""
+
+    fog_type: Literal["LINEAR", "EXPONENTIAL"]
+    identity_frame: bool
+
+
+class Plan(NamedTuple):
+    """What the compiled function computes; hashable, equal for scenes that need the same terms."""
+
+    options: LightingOptions
+    directional: LightPlan | None
+    point: LightPlan | None
+    spot: LightPlan | None
+    fog: FogPlan | None
+    specular: bool
+    emissive: bool
+
+
+class _Known:
+    """The values of leaves that are known and not free; None for the others."""
+
+    def __init__(self, free: Any) -> None:
+        self._free = {id(leaf) for leaf in free}
+
+    def __call__(self, leaf: Any) -> np.ndarray | None:
+        if isinstance(leaf, jax.core.Tracer) or id(leaf) in self._free:
+            return None
+        return np.asarray(leaf)
+
+    def all_zero(self, leaf: Any) -> bool:
+        value = self(leaf)
+        return value is not None and not np.any(value)
+
+
+def make_plan(
+    scene: Scene,
+    samples: SampleBuffer | None = None,
+    options: LightingOptions | None = None,
+    *,
+    free: Any = (),
+) -> Plan:
+    """The plan for a scene: what can be skipped without changing a value or a wanted derivative.
+
+    Args:
+        scene: its known numbers decide.
+        samples: their bounds decide which lights reach nothing; None: unknown.
+        options: readings of the specification.
+        free: leaves of `scene` (the array objects) that must keep their derivatives; True: all of them.
+    """
+    options = options or LightingOptions()
+    known = _Known(jax.tree.leaves(scene) if free is True else free)
+    bounds = None if samples is None else _bounds(known, samples)
+    lit = scene.materials is not None
+    specular = lit and not known.all_zero(scene.materials.specular_color)
+    ambient = lit and not known.all_zero(scene.materials.ambient_intensity)
+    emissive = lit and not known.all_zero(scene.materials.emissive_color)
+
+    def light_plan(lights: DirectionalLights | PointLights | SpotLights | None) -> LightPlan | None:
+        if lights is None or not lit:
+            return None
+        return _light_plan(lights, known, options, ambient, bounds)
+
+    local = options.support_level > 1
+    fog = None
+    if scene.fog is not None:
+        visibility = known(scene.fog.visibility_range)
+        if visibility is None or visibility > 0:
+            to_local = known(scene.fog.to_local)
+            identity = to_local is not None and np.allclose(to_local.T @ to_local, np.eye(3), rtol=0, atol=1e-12)
+            fog = FogPlan(scene.fog.fog_type, identity)
+    return Plan(
+        options=options,
+        directional=light_plan(scene.directional),
+        point=light_plan(scene.point) if local else None,
+        spot=light_plan(scene.spot) if local else None,
+        fog=fog,
+        specular=specular,
+        emissive=emissive,
+    )
+
+
+def _light_plan(
+    lights: DirectionalLights | PointLights | SpotLights,
+    known: _Known,
+    options: LightingOptions,
+    ambient: bool,
+    bounds: tuple[np.ndarray, np.ndarray] | None,
+) -> LightPlan | None:
+    """The plan for the lights of one kind, None if none of them can contribute."""
+    scope = lights.in_scope.array
+    directional = isinstance(lights, DirectionalLights)
+    unscoped = directional and options.support_level < 3
+    keep = lights.on.array.copy()
+    if not unscoped:
+        keep &= scope.any(axis=0)
+    ambient = ambient and not known.all_zero(lights.ambient_intensity)
+    color, intensity = known(lights.color), known(lights.intensity)
+    ambient_intensity = known(lights.ambient_intensity)
+    if color is not None:
+        keep &= color.any(axis=1)
+    if intensity is not None and (not ambient or ambient_intensity is not None):
+        keep &= (intensity != 0) | ((ambient_intensity != 0) if ambient else False)
+    frame = _frame(known(lights.to_world))
+    reaches_all = False
+    if not directional:
+        reach = _reach(lights, known, frame, bounds)
+        if reach is not None:
+            keep &= reach[0]
+            reaches_all = bool(np.all(reach[1][keep]))
+    if not keep.any():
+        return None
+    attenuation = None if directional else _attenuation(lights, known, options, keep)
+    return LightPlan(
+        rows=None if keep.all() else tuple(np.flatnonzero(keep).tolist()),
+        headlight=directional and lights.headlight and bool(keep[-1]),
+        frame=frame,
+        ambient=ambient,
+        scoped=not unscoped and not bool(scope[:, keep].all()),
+        attenuation=attenuation,
+        radius=not directional and not reaches_all,
+    )
+
+
+def _frame(to_world: np.ndarray | None) -> Frame:
+    """What the frames have in common: all the world's own, all similarities, or anything."""
+    if to_world is None:
+        return "general"
+    if np.array_equal(to_world, np.broadcast_to(np.eye(3, 4), to_world.shape)):
+        return "identity"
+    linear = to_world[:, :, :3].astype(np.float64)
+    gram = np.swapaxes(linear, 1, 2) @ linear
+    size = np.trace(gram, axis1=1, axis2=2)[:, None, None] / 3
+    tolerance = 64 * np.finfo(to_world.dtype).eps
+    return "similarity" if np.all(np.abs(gram - size * np.eye(3)) <= tolerance * size) else "general"
+
+
+def _attenuation(
+    lights: PointLights | SpotLights, known: _Known, options: LightingOptions, keep: np.ndarray
+) -> Literal["linear", "quadratic"] | None:
+    """Which terms of the attenuation polynomial can matter."""
+    c = known(lights.attenuation)
+    if c is None:
+        return "linear" if options.support_level == 2 else "quadratic"
+    c = c[keep]
+    if np.all(c[:, 0] <= 1) and not np.any(c[:, 1:]):
+        return None
+    return "linear" if options.support_level == 2 or not np.any(c[:, 2]) else "quadratic"
+
+
+def _bounds(known: _Known, samples: SampleBuffer) -> tuple[np.ndarray, np.ndarray] | None:
+    """Lowest and highest sample coordinates, [3] each, if known."""
+    low, high = known(samples.tile_low), known(samples.tile_high)
+    if low is None or high is None or low.size == 0:
+        return None
+    return low.min(axis=1).astype(np.float64), high.max(axis=1).astype(np.float64)
+
+
+def _reach(
+    lights: PointLights | SpotLights, known: _Known, frame: Frame, bounds: tuple[np.ndarray, np.ndarray] | None
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Per light: whether its radius reaches some sample, and whether it surely encloses all; None if not known."""
+    place, radius, to_world = known(lights.location), known(lights.radius), known(lights.to_world)
+    if place is None or radius is None or to_world is None or bounds is None or frame == "general":
+        return None
+    if not (np.all(np.isfinite(place)) and not np.any(np.isnan(radius))):
+        return None
+    to_world, low, high = to_world.astype(np.float64), *bounds
+    center = np.einsum("lij,lj->li", to_world[:, :, :3], place) + to_world[:, :, 3]
+    scale = np.linalg.norm(to_world[:, :, 0], axis=1)
+    nearest = np.linalg.norm(np.maximum(0, np.maximum(low - center, center - high)), axis=1)
+    farthest = np.linalg.norm(np.maximum(np.abs(low - center), np.abs(high - center)), axis=1)
+    slack = 1e-5 * (np.abs(center).max(axis=1) + np.abs([low, high]).max() + farthest)
+    return nearest - slack <= radius * scale, farthest + slack <= radius * scale

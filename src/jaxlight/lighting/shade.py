@@ -1,0 +1,259 @@
+"""`shade`: the colour of every sample, tile by tile.
+
+The tile is what fits the cache: inside it all lights are evaluated for some hundred samples at once. Derivatives are
+taken tile by tile too (the tile is rematerialised in reverse mode), so memory does not grow with lights.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from ..raster.samples import SampleBuffer
+from ..scene import Materials, Scene, Surface
+from .options import LightingOptions
+from .plan import LightPlan, Plan, make_plan
+from .surface import MaterialRow, alpha, base_color, sampled_texture
+from .terms import fogged, light_weights, lit_color, view_of
+from .vectors import Vector
+from .world import WorldFog, WorldLights, fog_in_world, lights_in_world
+
+
+def shade(
+    scene: Scene, samples: SampleBuffer, options: LightingOptions | None = None, *, plan: Plan | None = None
+) -> Float[Array, "samples 4"]:
+    """The colour and alpha of every sample by the lighting equation (VRML97 4.14, X3D 17.2.2).
+
+    Args:
+        scene: materials, lights, fog and textures.
+        samples: N visible surface points.
+        options: readings of the specification.
+        plan: what to compute, from `make_plan`; default: decided here from the numbers that are known.
+
+    Returns:
+        [N, 4]: red, green, blue as the equation gives them (not clamped, no transfer function), and alpha.
+
+    Raises:
+        ValueError: samples that name a surface the scene lacks, or lack a colour or texels that it asks for.
+    """
+    return samples.in_sample_order(shade_planes(scene, samples, options, plan=plan)).T
+
+
+def shade_planes(
+    scene: Scene, samples: SampleBuffer, options: LightingOptions | None = None, *, plan: Plan | None = None
+) -> Float[Array, "4 slots"]:
+    """`shade` in storage order: planes red, green, blue, alpha, one column a slot of the buffer, padding included."""
+    check_samples(scene, samples)
+    if plan is None:
+        plan = make_plan(scene, samples, options)
+    return _shade_planes(_without_document(scene), samples, plan)
+
+
+@partial(jax.jit, static_argnames="plan")
+def _shade_planes(scene: Scene, samples: SampleBuffer, plan: Plan) -> Array:
+    prepared = prepare(scene, samples, plan)
+    parts = [
+        map_tiles(run, prepared, samples, plan, lambda color: jnp.concatenate([color.rgb, color.alpha[None]]))
+        for run in surface_runs(scene.surfaces, samples)
+    ]
+    return jnp.concatenate(parts, axis=1) if len(parts) != 1 else parts[0]
+
+
+class Color(NamedTuple):
+    """What a tile gives: planes [3, samples] and [samples]."""
+
+    rgb: Array
+    alpha: Array
+
+
+class Prepared(eqx.Module):
+    """What does not depend on the sample: materials and lights in world space, in the samples' float type."""
+
+    materials: Materials | None
+    directional: WorldLights | None
+    point: WorldLights | None
+    spot: WorldLights | None
+    scopes: tuple[Array | None, Array | None, Array | None]
+    """[surfaces, lights] of the kinds above; None: every light reaches every surface."""
+    fog: WorldFog | None
+    textures: tuple[Array, ...]
+    surfaces: tuple[Surface, ...] = eqx.field(static=True)
+
+
+class Run(NamedTuple):
+    """Consecutive tiles whose surfaces are coloured by the same code."""
+
+    surface: Surface
+    """Stands for all surfaces of the run: they differ in material and scope only."""
+    single: int | None
+    """The row of the run's only surface; None: several."""
+    start: int
+    stop: int
+
+
+def surface_runs(surfaces: tuple[Surface, ...], samples: SampleBuffer) -> list[Run]:
+    """The buffer's tiles, split where the code that colours them changes."""
+    runs: list[Run] = []
+    for row, start, stop in samples.runs:
+        surface = surfaces[row]
+        last = runs[-1] if runs else None
+        if last is not None and _alike(last.surface, surface):
+            runs[-1] = Run(last.surface, None, last.start, stop)
+        else:
+            runs.append(Run(surface, row, start, stop))
+    return runs
+
+
+def _alike(a: Surface, b: Surface) -> bool:
+    return a._replace(material=min(a.material, 0)) == b._replace(material=min(b.material, 0))
+
+
+def prepare(scene: Scene, samples: SampleBuffer, plan: Plan) -> Prepared:
+    """The part of the equation that is done once, not once a sample."""
+    dtype = compute_dtype(samples)
+    kinds = [(scene.directional, plan.directional), (scene.point, plan.point), (scene.spot, plan.spot)]
+    world: list[WorldLights | None] = []
+    scopes: list[Array | None] = []
+    for lights, light_plan in kinds:
+        if lights is None or light_plan is None:
+            world.append(None)
+            scopes.append(None)
+            continue
+        world.append(lights_in_world(lights, light_plan, dtype, samples.camera_to_world))
+        rows = slice(None) if light_plan.rows is None else np.asarray(light_plan.rows)
+        scopes.append(jnp.asarray(lights.in_scope.array[:, rows]) if light_plan.scoped else None)
+    return Prepared(
+        materials=None if scene.materials is None else jax.tree.map(lambda a: a.astype(dtype), scene.materials),
+        directional=world[0],
+        point=world[1],
+        spot=world[2],
+        scopes=tuple(scopes),  # type: ignore[arg-type]  # three of them
+        fog=None if plan.fog is None or scene.fog is None else fog_in_world(scene.fog, plan.fog, dtype),
+        textures=tuple(texture.image for texture in scene.textures),
+        surfaces=scene.surfaces,
+    )
+
+
+def compute_dtype(samples: SampleBuffer) -> jnp.dtype:
+    """float64 for float64 samples, float32 for all others: half precision is widened at the door."""
+    return jnp.promote_types(samples.position_planes.dtype, jnp.float32)
+
+
+def map_tiles(
+    run: Run,
+    prepared: Prepared,
+    samples: SampleBuffer,
+    plan: Plan,
+    function: Callable[..., Any],
+    *planes: Array,
+) -> Any:
+    """function(color, *tiles of planes) for every tile of a run, the results side by side: [..., slots of the run].
+
+    `planes`: further arrays [..., slots], whose tiles go to `function`.
+    """
+    tile = samples.tile
+
+    @jax.checkpoint
+    def body(index: Array, prepared: Prepared, samples: SampleBuffer, planes: tuple[Array, ...]) -> Any:
+        color = tile_color(run, prepared, samples, plan, index)
+        return function(color, *(tile_of(plane, index, tile) for plane in planes))
+
+    def step(_: None, index: Array) -> tuple[None, Any]:
+        return None, body(index, prepared, samples, planes)
+
+    _, results = lax.scan(step, None, jnp.arange(run.start, run.stop))
+    return jax.tree.map(lambda a: jnp.moveaxis(a, 0, -2).reshape(*a.shape[1:-1], -1), results)
+
+
+def tile_of(plane: Array, index: Array, tile: int) -> Array:
+    """Columns of tile `index` of an array [..., slots]."""
+    return lax.dynamic_slice_in_dim(plane, index * tile, tile, axis=-1)
+
+
+def tile_color(run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, index: Array) -> Color:
+    """The equation on one tile."""
+    dtype, tile = compute_dtype(samples), samples.tile
+    position = Vector(*tile_of(samples.position_planes, index, tile).astype(dtype))
+    normal = Vector(*tile_of(samples.normal_planes, index, tile).astype(dtype))
+    surface = run.surface
+    row = samples.tile_surface[index] if run.single is None else run.single
+    material = _material_row(prepared, surface, row, run.single)
+    vertex_color = texel = None
+    if surface.color_components:
+        vertex_color = tile_of(samples.color_planes, index, tile).astype(dtype)
+    if surface.texture >= 0:
+        weight = tile_of(samples.texel_weight, index, tile).astype(dtype)
+        texel = sampled_texture(prepared.textures[surface.texture], tile_of(samples.texel_index, index, tile), weight)
+    base = base_color(surface, plan.options, material, vertex_color, texel)
+    view = view_of(position, normal, samples.eye.astype(dtype))
+    if surface.lighting == "lit":
+        base = _lit(prepared, plan, material, base, position, view, row)
+    if prepared.fog is not None and plan.fog is not None and (surface.lighting == "lit" or plan.options.fog_unlit):
+        base = fogged(base, prepared.fog, plan.fog.fog_type, view)
+    opacity = alpha(plan.options, material, vertex_color, texel)
+    ones = jnp.ones((tile,), dtype)
+    return Color((base * ones).astype(dtype), ones if opacity is None else (opacity * ones).astype(dtype))
+
+
+def _material_row(prepared: Prepared, surface: Surface, row: Any, single: int | None) -> MaterialRow | None:
+    """The material of a surface row; a known row needs no lookup."""
+    if surface.material < 0 or prepared.materials is None:
+        return None
+    rows = np.array([other.material for other in prepared.surfaces])
+    material = rows[single] if single is not None else jnp.asarray(rows)[row]
+    return MaterialRow(*(getattr(prepared.materials, name)[material] for name in MaterialRow._fields))
+
+
+def _lit(prepared: Prepared, plan: Plan, material: Any, diffuse: Array, position: Vector, view: Any, row: Any) -> Array:
+    kinds = []
+    exponent = 128.0 * material.shininess if plan.specular else None
+    all_kinds = zip(
+        (prepared.directional, prepared.point, prepared.spot),
+        (plan.directional, plan.point, plan.spot),
+        prepared.scopes,
+        strict=True,
+    )
+    for lights, light_plan, scope in all_kinds:
+        if lights is None:
+            continue
+        assert isinstance(light_plan, LightPlan)
+        weights = light_weights(
+            lights,
+            position,
+            view,
+            exponent,
+            ambient=light_plan.ambient,
+            specular_gate=plan.options.specular_gate,
+        )
+        kinds.append((lights, weights, None if scope is None else scope[row]))
+    return lit_color(material, diffuse, kinds, emissive=plan.emissive)
+
+
+def _without_document(scene: Scene) -> Scene:
+    """The scene without what shading does not read, so that scenes that differ only there share compiled code."""
+    return dataclasses.replace(scene, document=None)
+
+
+def check_samples(scene: Scene, samples: SampleBuffer) -> None:
+    """Raise ValueError if the samples do not fit the scene."""
+    for row, _, _ in samples.runs:
+        if row >= len(scene.surfaces):
+            raise ValueError(f"samples: surface {row} asked for, but the scene has {len(scene.surfaces)} surfaces")
+        surface = scene.surfaces[row]
+        components = 0 if samples.color_planes is None else samples.color_planes.shape[0]
+        if surface.color_components > components:
+            raise ValueError(
+                f"samples: surface {row} has {surface.color_components}-component vertex colours, "
+                f"the buffer holds {components}"
+            )
+        if surface.texture >= 0 and samples.texel_index is None:
+            raise ValueError(f"samples: surface {row} has a texture, but the buffer has no texel_index and texel_weight")

@@ -1,0 +1,119 @@
+"""Lights as the equation wants them: world space, per kind, the few numbers that do not depend on the sample.
+
+Everything here is small (one row a light) and differentiable, so that derivatives reach the fields as the user wrote
+them. Lights that are off never get here: the plan leaves them out, and their fields may hold anything.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..scene import DirectionalLights, Fog, PointLights, SpotLights
+from .plan import FogPlan, LightPlan
+from .vectors import Vector, transform, unit
+
+
+class WorldLights(eqx.Module):
+    """Lights of one kind in world space; planes of shape [lights, 1], to broadcast against samples."""
+
+    direct: Float[Array, "3 lights"]
+    """color * intensity."""
+    ambient: Float[Array, "3 lights"] | None
+    """color * ambient_intensity; None: skipped."""
+    towards: Vector | None
+    """Directional lights: unit L."""
+    place: Vector | None
+    """Point and spot lights: location."""
+    to_local: Float[Array, "lights 1 3 3"] | None
+    """World vectors to the light's frame, where distances are measured; None: `unit_length` tells it."""
+    unit_length: Float[Array, "lights 1"] | None
+    """World length of one unit of the light's frame; None: 1."""
+    attenuation: tuple[Array, Array, Array] | None
+    radius: Float[Array, "lights 1"] | None
+    axis: Vector | None
+    """Spot lights: unit direction."""
+    beam_width: Float[Array, "lights 1"] | None
+    cut_off_angle: Float[Array, "lights 1"] | None
+
+
+class WorldFog(eqx.Module):
+    """The bound fog; `to_local` None: its frame measures distances as the world does."""
+
+    color: Float[Array, "3"]
+    visibility_range: Float[Array, ""]
+    to_local: Float[Array, "3 3"] | None
+
+
+def lights_in_world(
+    lights: DirectionalLights | PointLights | SpotLights,
+    plan: LightPlan,
+    dtype: jnp.dtype,
+    camera_to_world: Float[Array, "3 3"] | None,
+) -> WorldLights:
+    """The lights that the plan keeps, in world space, in the given float type."""
+    keep = jnp.asarray(plan.rows, dtype=jnp.int32) if plan.rows is not None else slice(None)
+
+    def field(values: Array) -> Array:
+        return values[keep].astype(dtype)
+
+    def column(values: Array) -> Array:
+        return field(values)[:, None]
+
+    def planes(values: Array) -> Vector:
+        rows = field(values)
+        return Vector(rows[:, None, 0], rows[:, None, 1], rows[:, None, 2])
+
+    to_world = lights.to_world[keep].astype(dtype)
+    linear = to_world[:, None, :, :3]
+    color = field(lights.color).T
+    direct = color * field(lights.intensity)
+    ambient = color * field(lights.ambient_intensity) if plan.ambient else None
+
+    def world_direction(values: Array) -> Vector:
+        vector = planes(values)
+        return unit(vector if plan.frame == "identity" else transform(linear, vector))[0]
+
+    if isinstance(lights, DirectionalLights):
+        towards = -world_direction(lights.direction)
+        if plan.headlight and camera_to_world is not None:
+            own = unit(Vector(*(a[-1] for a in planes(lights.direction))))[0]
+            aimed = -transform(camera_to_world.astype(dtype), own)
+            towards = Vector(*(a.at[-1].set(b) for a, b in zip(towards, aimed, strict=True)))
+        return WorldLights(direct, ambient, towards, *(None,) * 8)
+
+    local_place = planes(lights.location)
+    place = local_place
+    if plan.frame != "identity":
+        place = transform(linear, local_place) + Vector(*(to_world[:, None, i, 3] for i in range(3)))
+    spot = isinstance(lights, SpotLights)
+    coefficients = None
+    if plan.attenuation:
+        c1, c2, c3 = planes(lights.attenuation)
+        coefficients = (c1, c2, c3 if plan.attenuation == "quadratic" else jnp.zeros_like(c3))
+    scale = None
+    if plan.frame == "similarity":
+        scale = jnp.sqrt(jnp.sum(to_world[:, :, 0] ** 2, axis=1))[:, None]
+    return WorldLights(
+        direct=direct,
+        ambient=ambient,
+        towards=None,
+        place=place,
+        to_local=lights.to_local[keep].astype(dtype)[:, None] if plan.frame == "general" else None,
+        unit_length=scale,
+        attenuation=coefficients,
+        radius=column(lights.radius) if plan.radius else None,
+        axis=world_direction(lights.direction) if spot else None,
+        beam_width=column(lights.beam_width) if spot else None,
+        cut_off_angle=column(lights.cut_off_angle) if spot else None,
+    )
+
+
+def fog_in_world(fog: Fog, plan: FogPlan, dtype: jnp.dtype) -> WorldFog:
+    """The fog in the given float type."""
+    return WorldFog(
+        fog.color.astype(dtype),
+        fog.visibility_range.astype(dtype),
+        None if plan.identity_frame else fog.to_local.astype(dtype),
+    )
