@@ -1,0 +1,103 @@
+"""How sensitive a case is: the yardstick for errors in floating point.
+
+**Condition number** of a value f with inputs x_i (every float of the case that is read, frames included), in a format:
+
+    condition = max(1, sum_i max(|f(x_i + ulp) - f|, |f(x_i - ulp) - f|) / ulp(f))
+
+each input moved alone to its neighbours in the format (see `ulp`: zeros stay, subnormals may also become zero), f at
+full precision. An algorithm that is right for slightly wrong inputs has an error of a few ulp times the condition.
+
+**Condition number of a derivative** g = df/dx_k: the same to first order,
+
+    condition = max(1, sum_i |d2f/dx_k dx_i| ulp(x_i) / ulp(g))
+
+**Well-conditioned**: condition at most 1000, and every jump at least 16 ulp away. The distance of a decision is
+|margin| / sum_i |d margin / dx_i| ulp(x_i): the number of ulps by which all inputs would have to conspire to turn it.
+(L + V is a sum of rounded unit vectors, so its length moves by one ulp of 1 besides.)
+
+**Differentiable**: well-conditioned, and points without any derivative are 16 ulp away, too. At and near kinks every
+value within `exact.gradient_bounds` is right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .case import Case
+from .exact import Exact, evaluate
+from .paths import Path, get, put
+from .tape import Decision
+from .ulp import input_ulp, neighbours, output_ulp
+
+MAX_CONDITION = 1000.0
+MIN_DISTANCE = 16.0
+
+
+@dataclass(frozen=True)
+class Conditioning:
+    """Condition number of each channel (red, green, blue, alpha), and each decision's kind and distance in ulp."""
+
+    condition: tuple[float, float, float, float]
+    decisions: dict[str, tuple[str, float]]
+
+    def nearest(self, *kinds: str) -> float:
+        """Distance in ulp of the nearest decision of these kinds; infinite if there is none."""
+        return min((distance for kind, distance in self.decisions.values() if kind in kinds), default=np.inf)
+
+    @property
+    def well_conditioned(self) -> bool:
+        """True if values can be asked to be right to a few ulp times the condition."""
+        return max(self.condition) <= MAX_CONDITION and self.nearest("jump") >= MIN_DISTANCE
+
+    @property
+    def differentiable(self) -> bool:
+        """True if derivatives can be asked for, too (at kinks: within bounds)."""
+        return self.well_conditioned and self.nearest("cone") >= MIN_DISTANCE
+
+
+def condition(case: Case, precision: int = 32) -> Conditioning:
+    """The case's conditioning in float32 or float64."""
+    exact = evaluate(case, 1)
+    moved = [0.0] * 4
+    for path in exact.inputs:
+        value = float(get(case, path))
+        others = {float(x) for x in neighbours(value, precision)} - {value}
+        ends = [evaluate(put(case, path, other)).rgba for other in others]
+        for c in range(4):
+            moved[c] += max((abs(end[c] - exact.rgba[c]) for end in ends), default=0)
+    r, g, b, a = (_condition(moved[c], exact.rgba[c], precision) for c in range(4))
+    distances = {d.name: (d.kind, distance(d, case, exact, precision)) for d in exact.decisions}
+    return Conditioning((r, g, b, a), distances)
+
+
+def gradient_condition(case: Case, precision: int = 32) -> dict[Path, tuple[float, float, float, float]]:
+    """The condition number of the derivative of each channel by each input; meant for differentiable cases."""
+    exact = evaluate(case, 2)
+    moved = {path: [0.0] * 4 for path in exact.inputs}
+    ulps = {path: float(input_ulp(get(case, path), precision)) for path in exact.inputs}
+    for (p, q), second in exact.hessian.items():
+        for c in range(4):
+            moved[p][c] += abs(second[c]) * ulps[q]
+            if p != q:
+                moved[q][c] += abs(second[c]) * ulps[p]
+
+    def four(path: Path) -> tuple[float, float, float, float]:
+        r, g, b, a = (_condition(moved[path][c], exact.gradient[path][c], precision) for c in range(4))
+        return r, g, b, a
+
+    return {path: four(path) for path in exact.inputs}
+
+
+def distance(decision: Decision, case: Case, exact: Exact, precision: int = 32) -> float:
+    """How many ulps the inputs are away from turning the decision; 0 at margin 0, even if no input can move."""
+    if decision.margin == 0:
+        return 0.0
+    reach = sum(slope * float(input_ulp(get(case, exact.inputs[i]), precision)) for i, slope in decision.slopes.items())
+    return float(abs(decision.margin) / reach) if reach else np.inf
+
+
+def _condition(moved: Any, value: Any, precision: int) -> float:
+    return max(1.0, float(moved / float(output_ulp(float(value), precision))))

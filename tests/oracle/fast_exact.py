@@ -1,0 +1,182 @@
+"""Exact answers for many cases at once, in 80-bit floats: what a release run compares 100 000 cases with.
+
+Judges float32, and float64 with an uncertainty of its own (some hundredths of an ulp times the condition; `exact`
+settles what is in doubt). Conditions, distances and bounds are those of `condition` and `exact.gradient_bounds`.
+Cases may come in any order and of any shape; those of one shape are computed together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from .case import Case
+from .condition import MAX_CONDITION, MIN_DISTANCE
+from .dual import Dual
+from .fast_equation import shade
+from .fast_tape import WIDE, Columns, FastTape
+from .paths import Path, is_live
+from .ulp import input_ulp, neighbours, output_ulp
+
+CHUNK = {0: 4096, 1: 1024, 2: 128}
+"""Cases computed at once, by order of the derivatives."""
+
+
+@dataclass(frozen=True)
+class Values:
+    """Of N cases, in order: rgba [N, 4] (longdouble), condition [N, 4], distances [N] in ulp by kind of decision."""
+
+    rgba: np.ndarray
+    condition: np.ndarray
+    distances: dict[str, np.ndarray]
+
+    @property
+    def well_conditioned(self) -> np.ndarray:
+        """[N], as `Conditioning.well_conditioned`."""
+        return (self.condition.max(axis=1) <= MAX_CONDITION) & (self.distances["jump"] >= MIN_DISTANCE)
+
+
+@dataclass(frozen=True)
+class Gradients:
+    """Of n cases of one shape: derivatives by P inputs of 4 channels.
+
+    `index` [n]: their places in the list that was given; `paths` (P); `low` and `high` [n, P, 4] (longdouble): the
+    lowest and highest right derivative, equal but for kinks within 16 ulp; `condition` [n, P, 4] or None.
+    """
+
+    index: np.ndarray
+    paths: list[Path]
+    low: np.ndarray
+    high: np.ndarray
+    condition: np.ndarray | None
+    distances: dict[str, np.ndarray]
+
+    @property
+    def differentiable(self) -> np.ndarray:
+        """[n]: no jump and no point without derivatives within 16 ulp (the condition of the value apart)."""
+        return (self.distances["jump"] >= MIN_DISTANCE) & (self.distances["cone"] >= MIN_DISTANCE)
+
+    def error_in_ulp(self, computed: Any, precision: int) -> np.ndarray:
+        """How far derivatives [n, P, 4] lie outside low ... high, in ulp of the nearer end; infinite if not finite."""
+        computed = np.asarray(computed, dtype=WIDE)
+        with np.errstate(invalid="ignore"):
+            below = (self.low - computed) / output_ulp(self.low, precision)
+            above = (computed - self.high) / output_ulp(self.high, precision)
+        return np.where(np.isfinite(computed), np.maximum(np.maximum(below, above), 0), np.inf)
+
+
+def values(cases: Sequence[Case], precision: int = 32, *, conditioning: bool = True) -> Values:
+    """Colour and alpha of every case, with its conditioning in float32 or float64 (else conditions are NaN)."""
+    rgba = np.zeros((len(cases), 4), dtype=WIDE)
+    condition = np.full((len(cases), 4), np.nan)
+    distances = {kind: np.full(len(cases), np.inf) for kind in ("jump", "kink", "cone")}
+    for index, columns in _chunks(cases, 1 if conditioning else 0):
+        tape = FastTape(columns, 1 if conditioning else 0, precision)
+        channels = _run(tape)
+        rgba[index] = value = _stack([c.value for c in channels], columns.count)
+        if conditioning:
+            condition[index] = _condition(_moved(columns, value, precision), value, precision)
+            for kind, distance in tape.distances.items():
+                distances[kind][index] = distance
+    return Values(rgba, condition, distances)
+
+
+def gradients(cases: Sequence[Case], precision: int = 32, *, conditioning: bool = True) -> Iterator[Gradients]:
+    """Derivatives (with their bounds at kinks) and their conditions, chunk by chunk of cases of one shape."""
+    for index, columns in _chunks(cases, 2 if conditioning else 1):
+        tape = FastTape(columns, 2 if conditioning else 1, precision)
+        channels = _run(tape)
+        base = _gradient(channels, columns)
+        low, high = base.copy(), base.copy()
+        for name, distance in tape.kinks.items():
+            if np.any(distance < MIN_DISTANCE):
+                other = _run(FastTape(columns, 1, precision, flip=name, flip_within=MIN_DISTANCE))
+                change = _gradient(other, columns) - base
+                low += np.minimum(change, 0)
+                high += np.maximum(change, 0)
+        condition = None
+        if conditioning:
+            condition = _condition(_gradient_moved(channels, columns, precision), base, precision)
+        yield Gradients(index, columns.paths, low, high, condition, tape.distances)
+
+
+def shape_of(case: Case) -> tuple:
+    """What two cases must share to be computed together: all but the numbers."""
+    sample, fog = case.sample, case.fog
+    lights = tuple(
+        (i, light.kind, light.frame is not None) for i, light in enumerate(case.lights) if is_live(light, case.options)
+    )
+    return (
+        case.material is None,
+        case.line_or_point,
+        case.options,
+        None if sample.color is None else len(sample.color),
+        None if sample.texel is None else len(sample.texel),
+        None if fog is None else (fog.fog_type, fog.frame is not None),
+        lights,
+    )
+
+
+def _chunks(cases: Sequence[Case], order: int) -> Iterator[tuple[np.ndarray, Columns]]:
+    groups: dict[tuple, list[int]] = {}
+    for i, case in enumerate(cases):
+        groups.setdefault(shape_of(case), []).append(i)
+    for group in groups.values():
+        for start in range(0, len(group), CHUNK[order]):
+            index = np.array(group[start : start + CHUNK[order]])
+            # The label is no part of the shape, and the first case's would mislead.
+            template = replace(cases[index[0]], label="")
+            yield index, Columns([template, *(cases[i] for i in index[1:])])
+
+
+def _run(tape: FastTape) -> tuple[Dual, ...]:
+    with np.errstate(all="ignore"):
+        return shade(tape)
+
+
+def _stack(parts: Sequence[Any], count: int) -> np.ndarray:
+    """[count, parts]."""
+    return np.stack([np.broadcast_to(np.asarray(part, dtype=WIDE), (count,)) for part in parts], axis=-1)
+
+
+def _gradient(channels: tuple[Dual, ...], columns: Columns) -> np.ndarray:
+    """[n, P, 4]."""
+    out = np.zeros((len(columns.paths), 4, columns.count), dtype=WIDE)
+    for c, channel in enumerate(channels):
+        for i, slope in channel.gradient.items():
+            out[i, c] = slope
+    return out.transpose(2, 0, 1)
+
+
+def _moved(columns: Columns, base: np.ndarray, precision: int) -> np.ndarray:
+    """[n, 4]: how far the value moves when each input moves by one ulp, summed over inputs."""
+    total = np.zeros_like(base)
+    for i in range(len(columns.paths)):
+        furthest = np.zeros_like(base)
+        for column in neighbours(columns.values[i], precision):
+            if np.array_equal(column, columns.values[i], equal_nan=True):
+                continue
+            end = _run(FastTape(columns.replaced(i, column), 0, precision))
+            furthest = np.maximum(furthest, np.abs(_stack([c.value for c in end], columns.count) - base))
+        total += furthest
+    return total
+
+
+def _gradient_moved(channels: tuple[Dual, ...], columns: Columns, precision: int) -> np.ndarray:
+    """[n, P, 4]: how far each derivative moves, to first order."""
+    ulps = input_ulp(columns.values, precision)
+    out = np.zeros((len(columns.paths), 4, columns.count), dtype=WIDE)
+    for c, channel in enumerate(channels):
+        for (i, j), second in (channel.hessian or {}).items():
+            size = np.abs(second)
+            out[i, c] += size * ulps[j]
+            if i != j:
+                out[j, c] += size * ulps[i]
+    return out.transpose(2, 0, 1)
+
+
+def _condition(moved: np.ndarray, value: np.ndarray, precision: int) -> np.ndarray:
+    return np.maximum(1.0, (moved / output_ulp(value, precision)).astype(np.float64))
