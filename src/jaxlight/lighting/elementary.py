@@ -54,6 +54,7 @@ _ATAN64 = (
 )
 _LN2_HIGH, _LN2_LOW = 0.693145751953125, 1.42860682030941723212e-6  # the first has 17 bits: k * _LN2_HIGH is exact
 _ROUND = 12582912.0  # 1.5 * 2^23: adding it rounds a float32 to an integer, found in the low bits
+_ROUND_BITS = 0x4B400000
 
 
 def polynomial(coefficients: tuple[float, ...], x: Array) -> Array:
@@ -93,7 +94,8 @@ def exp(x: Float[Array, "..."]) -> Float[Array, "..."]:
     smallest = -87.0
     clamped = jnp.maximum(x, smallest)
     shifted = clamped * (1 / math.log(2)) + _ROUND
-    k = shifted - _ROUND
+    # From the bits, not by `shifted - _ROUND`: compiled, XLA folds that back into the unrounded number.
+    k = (_bits(shifted) - _ROUND_BITS).astype(x.dtype)
     r = (clamped - k * _LN2_HIGH) - k * _LN2_LOW
     mantissa = 1.0 + (r + r * r * polynomial(_EXP, r))
     scaled = _from_bits(_bits(mantissa) + (_bits(shifted) << 23), x.dtype)
