@@ -12,9 +12,11 @@ import jax
 import numpy as np
 import optimistix as optx
 
+from ..lighting import LightingOptions
 from ..scene.scene import Scene
 from . import normal
-from .problem import Description, LossKind, Problem, make_problem
+from .problem import Description, Problem, make_problem
+from .residuals import LossKind
 from .run import FitState, advance, begin, finished, make_solver
 from .solver import BoundedLevenbergMarquardt
 from .views import View, ViewData
@@ -107,6 +109,7 @@ def fit(
     *,
     loss: LossKind = "squares",
     loss_scale: float | None = None,
+    options: LightingOptions | None = None,
     max_steps: int = 100,
     rtol: float | None = None,
     atol: float | None = None,
@@ -120,6 +123,7 @@ def fit(
         free: field paths ("Material[body].diffuse_color", "PointLight[*].intensity", "View[*].exposure"), functions
             of the scene (`lambda s: s.materials.shininess`) or `Free`s; a mapping from path to options of `Free`.
         loss: "squares"; "huber" and "cauchy" forgive residuals larger than `loss_scale`.
+        options: readings of the specification, as for `shade`.
         max_steps: evaluations at most; reaching it is never reported as success.
         rtol, atol: relative and absolute tolerance of the parameters (default: what the precision can reach).
         progress: called with a `Step` after each evaluation; an interrupt (Ctrl-C) returns the best so far.
@@ -127,7 +131,7 @@ def fit(
     Raises:
         ValueError: a path, shape, bound or value that does not fit, found before anything is compiled.
     """
-    problem, description = make_problem(scene, views, free, loss=loss, loss_scale=loss_scale)
+    problem, description = make_problem(scene, views, free, loss=loss, loss_scale=loss_scale, options=options)
     solver = make_solver(problem, rtol=rtol, atol=atol)
     return run_fit(problem, description, solver, max_steps=max_steps, progress=progress)
 
@@ -200,12 +204,13 @@ def make_fit(
 ) -> Fit:
     """The result for a state, finished or not."""
     outcome = _outcome(state, interrupted)
+    world = _world_at(problem, state.values)
     value = float(state.solver.loss)
     rms = _rms(value, description.residuals)
     accepted, tried = int(state.solver.num_accepted_steps), max(int(state.solver.num_steps) - 1, 0)
     return Fit(
-        scene=_world_at(problem, state.values).scene,
-        exposure=np.asarray(_world_at(problem, state.values).exposure),
+        scene=dataclasses.replace(world.scene, document=description.document),
+        exposure=np.asarray(world.exposure),
         values=np.asarray(state.values),
         labels=tuple(description.labels),
         loss=value,
@@ -263,7 +268,7 @@ def residual_image(problem: Problem, values: Any, view: int) -> np.ndarray:
 @eqx.filter_jit
 def _residual_planes(problem: Problem, values: Any, stack: ViewData, position: Any) -> tuple[Any, ViewData]:
     data = jax.tree.map(lambda leaf: leaf[position], stack)
-    return normal.residual_of_view(problem, problem.at(values), data), data
+    return normal.view_residual(problem, problem.at(values), data), data
 
 
 def _as_picture(residual: Any, data: ViewData) -> np.ndarray:

@@ -9,16 +9,18 @@ where rho(s) = s for squares. Gaussian priors add (x - mean)^2 / 2 variance.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..lighting.shade import Prepared, prepare, surface_runs, tile_color, tile_of
 from .parameters import World
-from .problem import LossKind, Problem, scene_of_view
+from .problem import Problem, scene_of_view
+from .residuals import composited, half_loss, reweight, view_colors, weighted_difference
 from .views import ViewData
 
 
@@ -31,15 +33,27 @@ class NormalEquations(NamedTuple):
     """Gauss-Newton approximation of the second derivative, J^T J with the loss's weights."""
 
 
+class _ViewInputs(eqx.Module):
+    """What one view's colours depend on: small, done once a view; the tiles take it from here."""
+
+    prepared: Prepared
+    exposure: Float[Array, ""]
+
+
 def loss(problem: Problem, values: Float[Array, " parameters"]) -> Float[Array, ""]:
     """Half the sum of squares (or of the robust loss) at these values, priors included."""
-    world = problem.at(values)
 
-    def of_block(block: ViewData) -> tuple[Array]:
-        residual = residual_of_view(problem, world, block)
-        return (_half_loss(problem.loss_kind, problem.loss_scale, residual),)
+    def of_view(view: ViewData, add: Callable[[Any, Any], Any], carry: Any) -> Any:
+        if view.pixel is not None:
+            return add(carry, (half_loss(*_rho(problem), view_residual(problem, problem.at(values), view)),))
+        inputs = _view_inputs(problem, view, values)
 
-    (total,) = _sum_over_blocks(problem, of_block, (jnp.zeros((), values.dtype),))
+        def of_tile(carry: Any, residual_of: Callable[[_ViewInputs], Array]) -> Any:
+            return add(carry, (half_loss(*_rho(problem), residual_of(inputs)),))
+
+        return _over_tiles(problem, view, of_tile, carry)
+
+    (total,) = _over_views(problem, of_view, (jnp.zeros((), values.dtype),))
     return total + _prior_loss(problem, values)
 
 
@@ -48,82 +62,54 @@ def normal_equations(problem: Problem, values: Float[Array, " parameters"]) -> N
     count = values.shape[0]
     directions = jnp.eye(count, dtype=values.dtype)
 
-    def of_block(block: ViewData) -> tuple[Array, Array, Array]:
-        residual, push = jax.linearize(lambda v: residual_of_view(problem, problem.at(v), block), values)
-        jacobian = jax.vmap(push)(directions).reshape(count, -1)
-        weight = _reweight(problem.loss_kind, problem.loss_scale, residual).reshape(-1)
-        weighted = jacobian * weight
-        return (
-            _half_loss(problem.loss_kind, problem.loss_scale, residual),
-            _dot(weighted, residual.reshape(-1)),
-            _dot(weighted, jacobian.T),
-        )
+    def products(residual: Array, jacobian: Array) -> tuple[Array, Array, Array]:
+        weight = reweight(*_rho(problem), residual)
+        jacobian, flat = jacobian.reshape(count, -1), residual.reshape(-1)
+        weighted = jacobian if weight is None else jacobian * weight.reshape(-1)
+        return half_loss(*_rho(problem), residual), _dot(weighted, flat), _dot(weighted, jacobian.T)
+
+    def of_view(view: ViewData, add: Callable[[Any, Any], Any], carry: Any) -> Any:
+        if view.pixel is not None:
+            residual, push = jax.linearize(lambda v: view_residual(problem, problem.at(v), view), values)
+            return add(carry, products(residual, jax.lax.map(push, directions)))
+        # The scene is linearised once a view, the tiles with respect to what the scene comes to.
+        inputs, push = jax.linearize(lambda v: _moving(problem, _view_inputs(problem, view, v))[0], values)
+        fixed = _moving(problem, _view_inputs(problem, view, values))[1]
+        tangents = jax.vmap(push)(directions)
+
+        def of_tile(carry: Any, residual_of: Callable[[_ViewInputs], Array]) -> Any:
+            residual, push = jax.linearize(lambda moving: residual_of(eqx.combine(moving, fixed)), inputs)
+            return add(carry, products(residual, jax.vmap(push)(tangents)))
+
+        return _over_tiles(problem, view, of_tile, carry)
 
     zeros = (jnp.zeros((), values.dtype), jnp.zeros(count, values.dtype), jnp.zeros((count, count), values.dtype))
-    total, gradient, curvature = _sum_over_blocks(problem, of_block, zeros)
+    total, gradient, curvature = _over_views(problem, of_view, zeros)
     parameters = problem.parameters
     gradient = gradient + parameters.prior_precision * (values - parameters.prior_mean)
-    curvature = curvature + jnp.diag(parameters.prior_precision)
-    return NormalEquations(total + _prior_loss(problem, values), gradient, (curvature + curvature.T) / 2)
+    curvature = (curvature + curvature.T) / 2 + jnp.diag(parameters.prior_precision)
+    return NormalEquations(total + _prior_loss(problem, values), gradient, curvature)
 
 
-def residuals(values: Float[Array, " parameters"], problem: Problem) -> tuple[Array, ...]:
+def residuals(problem: Problem, values: Float[Array, " parameters"]) -> tuple[Array, ...]:
     """All residuals, one array a stack of views, and the priors': the same sum of squares as `loss` for squares.
 
-    For optimistix's own solvers, implicit derivatives and residual pictures; a fit's steps never call it.
+    For optimistix's own solvers and implicit derivatives; the steps of a fit never call it.
     """
     world = problem.at(values)
-    parts = tuple(jax.vmap(lambda view: residual_of_view(problem, world, view))(stack) for stack in problem.views)
+    parts = tuple(jax.vmap(lambda view: view_residual(problem, world, view))(stack) for stack in problem.views)
     parameters = problem.parameters
     return (*parts, jnp.sqrt(parameters.prior_precision) * (values - parameters.prior_mean))
 
 
-def colors_of_view(problem: Problem, world: World, view: ViewData) -> Float[Array, "3 points"]:
-    """What the model says this view's points look like, exposure included."""
-    planes = problem.shade(scene_of_view(world, view), view.samples)
-    color, alpha = planes[:3], planes[3]
-    if view.pixel is None:
-        if view.background is not None:
-            color = alpha * color + (1 - alpha) * view.background
-    else:
-        assert view.share is not None
-        points = view.target.shape[-1]
-        share = view.share if view.background is None else view.share * alpha
-        color = _gather(color * share, view.pixel, points)
-        if view.background is not None:
-            color = color + (1 - _gather(share[None], view.pixel, points)) * view.background
-    return world.exposure[view.row] * color
+def view_residual(problem: Problem, world: World, view: ViewData) -> Float[Array, "3 points"]:
+    """The weighted residuals of one view, all points at once, in storage order."""
+    color = view_colors(scene_of_view(world, view), view, world.exposure[view.row])
+    return weighted_difference(color, view.target, view.root_weight, view)
 
 
-def _gather(planes: Array, pixel: Array, points: int) -> Array:
-    """Sums of [C, slots] over the slots of each point; padding goes to the row that is cut off."""
-    sums = jax.ops.segment_sum(planes.T, pixel, num_segments=points + 1)
-    return sums[:points].T
-
-
-def residual_of_view(problem: Problem, world: World, view: ViewData) -> Float[Array, "3 points"]:
-    """Weighted difference; values beyond the sensor's range count only when they are on the wrong side."""
-    difference = colors_of_view(problem, world, view) - view.target
-    difference = jnp.where(view.target >= view.saturated, jnp.minimum(difference, 0), difference)
-    difference = jnp.where(view.target <= view.dark, jnp.maximum(difference, 0), difference)
-    return difference * view.root_weight
-
-
-def _half_loss(kind: LossKind, scale: Array, residual: Array) -> Array:
-    if kind == "squares":
-        return jnp.vdot(residual, residual, precision="highest") / 2
-    size = jnp.abs(residual) / scale
-    huber = jnp.where(size <= 1, size * size / 2, size - 0.5)
-    each = huber if kind == "huber" else jnp.log1p(size * size) / 2
-    return scale * scale * jnp.sum(each)
-
-
-def _reweight(kind: LossKind, scale: Array, residual: Array) -> Array:
-    """rho' at each residual: how much a robust loss still listens to it."""
-    if kind == "squares":
-        return jnp.ones_like(residual)
-    size = jnp.abs(residual) / scale
-    return 1 / jnp.maximum(size, 1) if kind == "huber" else 1 / (1 + size * size)
+def _rho(problem: Problem) -> tuple[Any, Array]:
+    return problem.loss_kind, problem.loss_scale
 
 
 def _prior_loss(problem: Problem, values: Array) -> Array:
@@ -135,25 +121,62 @@ def _dot(a: Array, b: Array) -> Array:
     return jnp.matmul(a, b, precision="highest")
 
 
-def _sum_over_blocks(problem: Problem, of_block: Callable[[ViewData], Any], zeros: Any) -> Any:
-    """Sum of `of_block` over all views and blocks, with the rounding errors carried along (Neumaier)."""
-    sums, errors = zeros, jax.tree.map(jnp.zeros_like, zeros)
+def _view_inputs(problem: Problem, view: ViewData, values: Array) -> _ViewInputs:
+    world = problem.at(values)
+    return _ViewInputs(prepare(scene_of_view(world, view), view.samples, view.plan), world.exposure[view.row])
 
-    def add(carry: Any, block: ViewData) -> tuple[Any, None]:
+
+def _moving(problem: Problem, inputs: _ViewInputs) -> tuple[_ViewInputs, _ViewInputs]:
+    """The inputs that derivatives go through, and the others: whole textures only when one of them is free."""
+    moving, fixed = eqx.partition(inputs, eqx.is_inexact_array)
+    if any(leaf.leaf is not None and leaf.leaf.kind == "Texture" for leaf in problem.parameters.leaves):
+        return moving, fixed
+
+    def textures(tree: _ViewInputs) -> Any:
+        return tree.prepared.textures
+
+    nothing = (None,) * len(inputs.prepared.textures)
+    return eqx.tree_at(textures, moving, nothing), eqx.tree_at(textures, fixed, textures(inputs), is_leaf=_is_none)
+
+
+def _is_none(leaf: Any) -> bool:
+    return leaf is None
+
+
+def _over_views(problem: Problem, of_view: Callable[..., Any], zeros: Any) -> Any:
+    """Sum over all views with the rounding errors carried along (Neumaier): one view in memory at a time."""
+
+    def add(carry: Any, terms: Any) -> Any:
         sums, errors = carry
-        pairs = jax.tree.map(_two_sum, sums, of_block(block))
-        sums = jax.tree.map(lambda _, pair: pair[0], sums, pairs)
-        errors = jax.tree.map(lambda error, pair: error + pair[1], errors, pairs)
-        return (sums, errors), None
+        pairs = [_two_sum(a, b) for a, b in zip(sums, terms, strict=True)]
+        return tuple(pair[0] for pair in pairs), tuple(e + pair[1] for e, pair in zip(errors, pairs, strict=True))
 
-    def add_view(carry: Any, view: ViewData) -> tuple[Any, None]:
-        for run in range(_runs(view)):
-            carry, _ = jax.lax.scan(add, carry, _blocks(view, run))
-        return carry, None
-
+    carry = (zeros, jax.tree.map(jnp.zeros_like, zeros))
     for stack in problem.views:
-        (sums, errors), _ = jax.lax.scan(add_view, (sums, errors), stack)
-    return jax.tree.map(jnp.add, sums, errors)
+        carry, _ = jax.lax.scan(lambda carry, view: (of_view(view, add, carry), None), carry, stack)
+    sums, errors = carry
+    return tuple(a + b for a, b in zip(sums, errors, strict=True))
+
+
+def _over_tiles(problem: Problem, view: ViewData, of_tile: Callable[..., Any], carry: Any) -> Any:
+    """Give `of_tile` each tile's residuals as a function of the view's inputs."""
+    samples = view.samples
+    for run in surface_runs(problem.world.scene.surfaces, samples):
+
+        def step(carry: Any, index: Array, run: Any = run) -> tuple[Any, None]:
+            def tile(plane: Array) -> Array:
+                return tile_of(plane, index, samples.tile)
+
+            def residual_of(inputs: _ViewInputs) -> Array:
+                color = tile_color(run, inputs.prepared, samples, view.plan, index)
+                background = None if view.background is None else tile(view.background)
+                rgb = inputs.exposure * composited(color.rgb, color.alpha, background)
+                return weighted_difference(rgb, tile(view.target), tile(view.root_weight), view)
+
+            return of_tile(carry, residual_of), None
+
+        carry, _ = jax.lax.scan(step, carry, jnp.arange(run.start, run.stop))
+    return carry
 
 
 def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:
@@ -161,55 +184,3 @@ def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:
     total = a + b
     part = total - a
     return total, (a - (total - part)) + (b - part)
-
-
-def _runs(view: ViewData) -> int:
-    return 1 if view.pixel is not None else len(view.samples.runs)
-
-
-def _blocks(view: ViewData, run: int) -> ViewData:
-    """One run of tiles of a view with a leading axis over tiles; a view gathered into pixels is one block."""
-    if view.pixel is not None:
-        return jax.tree.map(lambda leaf: leaf[None], view)
-    surface, first, last = view.samples.runs[run]
-    tile, tiles = view.samples.tile, last - first
-
-    def planes(array: Array | None) -> Any:
-        if array is None:
-            return None
-        part = array[:, first * tile : last * tile]
-        return part.reshape(part.shape[0], tiles, tile).swapaxes(0, 1)
-
-    def alike(tree: Any) -> Any:
-        return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (tiles, *leaf.shape)), tree)
-
-    samples = dataclasses.replace(
-        view.samples,
-        position_planes=planes(view.samples.position_planes),
-        normal_planes=planes(view.samples.normal_planes),
-        eye=alike(view.samples.eye),
-        camera_to_world=alike(view.samples.camera_to_world),
-        color_planes=planes(view.samples.color_planes),
-        texel_index=planes(view.samples.texel_index),
-        texel_weight=planes(view.samples.texel_weight),
-        pixel_slots=None,
-        coverage_slots=None,
-        slot=None,
-        tile_surface=view.samples.tile_surface[first:last, None],
-        runs=((surface, 0, 1),),
-        count=tile,
-        width=None,
-        height=None,
-    )
-    return ViewData(
-        samples=samples,
-        target=planes(view.target),  # type: ignore[arg-type]
-        root_weight=planes(view.root_weight),  # type: ignore[arg-type]
-        saturated=alike(view.saturated),
-        dark=alike(view.dark),
-        row=alike(view.row),
-        lights=alike(view.lights),
-        background=planes(view.background),
-        pixel=None,
-        share=None,
-    )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,12 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..lighting import LightingOptions, make_plan
+from ..lighting.shade import check_samples
 from ..scene.flags import Flags
+from ..scene.paths import LIGHT_ATTRIBUTES
 from ..scene.scene import Scene
 from .parameters import FreeField, Parameters, World, free_parameters
+from .residuals import LossKind
 from .views import View, ViewData, view_data
-
-LossKind = Literal["squares", "huber", "cauchy"]
 
 
 class Problem(eqx.Module):
@@ -31,8 +33,6 @@ class Problem(eqx.Module):
     loss_scale: Float[Array, ""]
     """Residual at which a robust loss turns from squares to tolerance."""
     loss_kind: LossKind = eqx.field(static=True)
-    shade: Callable[..., Any] = eqx.field(static=True)
-    """`shade(scene, samples) -> planes [4, slots]`."""
 
     def at(self, values: Float[Array, " parameters"]) -> World:
         """The world with the free numbers set to `values`."""
@@ -50,6 +50,8 @@ class Description(NamedTuple):
     """Number of residuals that count (weight > 0)."""
     noise_known: bool
     """True when weights are stated to be 1 / variance."""
+    document: Any
+    """The document of the scene, which the problem does without."""
 
 
 def make_problem(
@@ -60,7 +62,7 @@ def make_problem(
     loss: LossKind = "squares",
     loss_scale: float | None = None,
     noise_known: bool = False,
-    shade: Callable[..., Any] | None = None,
+    options: LightingOptions | None = None,
 ) -> tuple[Problem, Description]:
     """Check everything on the host and bring it into the form that compiled code takes.
 
@@ -76,16 +78,13 @@ def make_problem(
         raise ValueError(f"loss: expected 'squares', 'huber' or 'cauchy', got {loss!r}")
     if loss != "squares" and not (loss_scale is not None and np.isfinite(loss_scale) and loss_scale > 0):
         raise ValueError(f"loss_scale: the {loss} loss needs a number > 0, got {loss_scale!r}")
-    if shade is None:
-        from ..lighting import shade_planes
-
-        shade = shade_planes
     names = [view.name for view in each]
     dtype = _float_type(scene)
     _check_finite(scene)
-    world = World(scene, jnp.asarray([view.exposure for view in each], dtype=dtype))
+    # The document is no number and would only make programs of equal scenes differ.
+    world = World(dataclasses.replace(scene, document=None), jnp.asarray([view.exposure for view in each], dtype=dtype))
     parameters, fields = free_parameters(world, free, names, dtype)
-    data = [view_data(scene, view, row, dtype) for row, view in enumerate(each)]
+    data = [_planned(world, parameters, view_data(scene, view, row, dtype), options) for row, view in enumerate(each)]
     labels = [""] * len(parameters.start)
     for field in fields:
         for label, number in zip(field.labels, field.numbers.tolist(), strict=True):
@@ -96,24 +95,33 @@ def make_problem(
         views=_stack(data),
         loss_scale=jnp.asarray(1.0 if loss_scale is None else loss_scale, dtype=dtype),
         loss_kind=loss,
-        shade=shade,
     )
     count = sum(int(np.count_nonzero(np.asarray(one.root_weight))) * (3 // one.root_weight.shape[0]) for one in data)
-    return problem, Description(fields, labels, names, count, noise_known)
+    return problem, Description(fields, labels, names, count, noise_known, scene.document)
+
+
+def _planned(world: World, parameters: Parameters, view: ViewData, options: LightingOptions | None) -> ViewData:
+    """The view with what its lighting needs: no term with a free field is left out."""
+    scene = scene_of_view(world, view)
+    check_samples(scene, view.samples)
+    owners = {leaf.leaf for leaf in parameters.leaves if leaf.leaf is not None}
+    free = [leaf.get(scene) for leaf in owners if getattr(scene, leaf.attribute) is not None]
+    return dataclasses.replace(view, plan=make_plan(scene, view.samples, options, free=free))
 
 
 def scene_of_view(world: World, view: ViewData) -> Scene:
     """The scene as this view saw it: only the lights that shone."""
     scene = world.scene
-    for attribute, rows in zip(("directional", "point", "spot"), view.lights, strict=True):
+    for attribute, rows, in_scope in zip(LIGHT_ATTRIBUTES, view.lights, view.in_scope, strict=True):
         lights = getattr(scene, attribute)
         if lights is not None and rows is not None:
-            chosen = None if rows.shape[0] == 0 else _take_lights(lights, rows)
+            chosen = None if rows.shape[0] == 0 else _take_lights(lights, rows, in_scope)
             scene = dataclasses.replace(scene, **{attribute: chosen})
     return scene
 
 
-def _take_lights(lights: Any, rows: Array) -> Any:
+def _take_lights(lights: Any, rows: Array, in_scope: Any) -> Any:
+    """Some rows of the lights of a kind, all of them on."""
     changes = {
         field.name: jnp.take(getattr(lights, field.name), rows, axis=0)
         for field in dataclasses.fields(lights)
@@ -121,7 +129,6 @@ def _take_lights(lights: Any, rows: Array) -> Any:
     }
     # Names stay on the host side of a fit; here they would only tell equal programs apart.
     count = rows.shape[0]
-    in_scope = Flags(np.ones((lights.in_scope.array.shape[0], count)))
     return dataclasses.replace(lights, **changes, names=("",) * count, on=Flags(np.ones(count)), in_scope=in_scope)
 
 

@@ -27,7 +27,7 @@ class FitState(eqx.Module):
 
 def residual_function(values: Array, problem: Problem) -> tuple[Any, None]:
     """The residuals in optimistix's form, for its own solvers and its implicit derivatives."""
-    return normal.residuals(values, problem), None
+    return normal.residuals(problem, values), None
 
 
 def _loss(values: Array, problem: Problem) -> Array:

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..raster.samples import SampleBuffer
-from ..scene.paths import LIGHT_KINDS, light_rows
+from ..scene.flags import Flags
+from ..scene.paths import LIGHT_ATTRIBUTES, LIGHT_KINDS, light_rows
 from ..scene.scene import Scene
 
 
@@ -63,6 +64,10 @@ class ViewData(eqx.Module):
     """Which view this is: row in `World.exposure`."""
     lights: tuple[Int[Array, " lights"] | None, ...]
     """Rows of the directional, point and spot lights that shone, or None for all of a kind."""
+    in_scope: tuple[Flags | None, ...] = eqx.field(static=True)
+    """[surfaces, lights] of the lights that shone; goes with `lights`."""
+    plan: Any = eqx.field(static=True)
+    """What the equation must compute for this view (`lighting.Plan`)."""
     background: Float[Array, "3 points"] | None
     pixel: Int[Array, " slots"] | None
     """Row in the points of each slot when samples are gathered into pixels (padding: number of points); else None."""
@@ -112,6 +117,8 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
     target = np.broadcast_to(np.where(used[:, None], target, 0.0), (layout.points, 3))
     root_weight = np.sqrt(weight) * used[:, None]
     rows = None if view.lights is None else light_rows(scene, view.lights)
+    chosen = [None] * 3 if rows is None else [rows[kind] for kind in LIGHT_KINDS]
+    scopes = [_scope(getattr(scene, kind), own) for kind, own in zip(LIGHT_ATTRIBUTES, chosen, strict=True)]
     return ViewData(
         samples=samples,
         target=layout.stored(target, dtype),
@@ -119,11 +126,17 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         saturated=jnp.asarray(np.inf if view.saturated is None else view.saturated, dtype=dtype),
         dark=jnp.asarray(-np.inf if view.dark is None else view.dark, dtype=dtype),
         row=jnp.asarray(row, dtype=jnp.int32),
-        lights=(None,) * 3 if rows is None else tuple(jnp.asarray(rows[kind]) for kind in LIGHT_KINDS),
+        lights=tuple(None if own is None else jnp.asarray(own) for own in chosen),
+        in_scope=tuple(scopes),
+        plan=None,
         background=None if background is None else layout.stored(background, dtype),
         pixel=None if layout.pixel is None else jnp.asarray(layout.pixel, dtype=jnp.int32),
         share=None if layout.share is None else jnp.asarray(layout.share, dtype=dtype),
     )
+
+
+def _scope(lights: Any, rows: np.ndarray | None) -> Flags | None:
+    return None if lights is None or rows is None else Flags(lights.in_scope.array[:, rows])
 
 
 @dataclasses.dataclass(frozen=True)

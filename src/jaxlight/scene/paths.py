@@ -70,6 +70,8 @@ _KINDS: dict[str, tuple[str, dict[str, Range]]] = {
 }
 _ALIASES = {"ImageTexture": "Texture", "PixelTexture": "Texture"}
 LIGHT_KINDS = ("DirectionalLight", "PointLight", "SpotLight")
+LIGHT_ATTRIBUTES = tuple(_KINDS[kind][0] for kind in LIGHT_KINDS)
+"""Where a Scene keeps the lights of each kind."""
 
 
 class Leaf(NamedTuple):
@@ -82,12 +84,17 @@ class Leaf(NamedTuple):
 
     def get(self, scene: Scene) -> Any:
         """The array."""
-        owner = getattr(scene, _KINDS[self.kind][0])
+        owner = getattr(scene, self.attribute)
         return getattr(owner[self.row] if self.row >= 0 else owner, self.field)
 
     def set(self, scene: Scene, value: Any) -> Scene:
         """The scene with this array replaced."""
         return eqx.tree_at(self.get, scene, value)
+
+    @property
+    def attribute(self) -> str:
+        """Where a Scene keeps nodes of this kind."""
+        return _KINDS[self.kind][0]
 
     @property
     def range(self) -> Range:

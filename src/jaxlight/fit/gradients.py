@@ -1,0 +1,219 @@
+"""Are the derivatives right? Every field in forward and reverse mode against central differences in float64."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..lighting import LightingOptions, shade_planes
+from ..raster.samples import SampleBuffer
+from ..scene import paths
+from ..scene.paths import Path
+from ..scene.scene import Scene
+from .parameters import Parameters, World, free_parameters
+
+MAX_NUMBERS = 12
+"""Numbers of one field that are checked; of a texture, this many texels drawn at random."""
+
+
+class GradientRow(NamedTuple):
+    """One field: its derivative's size and the errors of both modes.
+
+    Errors are relative to the field's largest derivative, or to what differences can resolve where that is larger.
+    """
+
+    path: str
+    largest: float
+    """Largest derivative of a colour or alpha of a sample by a number of the field (central differences)."""
+    forward_error: float
+    reverse_error: float
+    kinks: int
+    """Samples left out because the differences themselves do not settle there: the equation has a kink or a jump."""
+
+
+@dataclasses.dataclass(frozen=True)
+class GradientCheck:
+    """The rows of all fields that were checked, and the fields that have no derivative to check."""
+
+    rows: tuple[GradientRow, ...]
+    skipped: tuple[str, ...]
+    """Fields at a value where they switch something off (no fog, endless radius)."""
+    tolerance: float
+    dtype: str
+
+    @property
+    def worst(self) -> float:
+        """The largest error of any row, in either mode."""
+        return max((max(row.forward_error, row.reverse_error) for row in self.rows), default=0.0)
+
+    @property
+    def passed(self) -> bool:
+        """True if every error is below the tolerance (and a number)."""
+        return all(max(row.forward_error, row.reverse_error) <= self.tolerance for row in self.rows)
+
+    def __str__(self) -> str:
+        width = max([len("field"), *(len(row.path) for row in self.rows)])
+        lines = [f"{'field':<{width}}  {'largest':>10}  {'forward':>9}  {'reverse':>9}  {'kinks':>6}"]
+        for row in self.rows:
+            flag = "" if max(row.forward_error, row.reverse_error) <= self.tolerance else "  WRONG"
+            lines.append(
+                f"{row.path:<{width}}  {row.largest:>10.3g}  {row.forward_error:>9.1e}  {row.reverse_error:>9.1e}  "
+                f"{row.kinks:>6}{flag}"
+            )
+        lines += [f"{path:<{width}}  not checked: it is switched off" for path in self.skipped]
+        verdict = "all within" if self.passed else "NOT all within"
+        lines.append(f"worst error {self.worst:.1e}, {verdict} {self.tolerance:g} ({self.dtype})")
+        return "\n".join(lines)
+
+
+def check_gradients(
+    scene: Scene,
+    samples: SampleBuffer,
+    fields: Path | Iterable[Path] | None = None,
+    *,
+    tolerance: float | None = None,
+    seed: int = 0,
+    options: LightingOptions | None = None,
+) -> GradientCheck:
+    """Compare forward and reverse derivatives of `shade` with central differences, a row a field.
+
+    The derivatives are taken in the scene's own precision, the differences always in float64 (64-bit numbers are
+    switched on for their computation only), with a second, halved step that tells kinks from errors.
+
+    Args:
+        scene, samples: where to check.
+        fields: paths or functions of the scene (default: all fields).
+        tolerance: error that passes (default: 1e-6 in float64, 1e-3 in float32).
+        options: readings of the specification, as for `shade`.
+        seed: of the texels and of the reverse mode's random weights.
+
+    Raises:
+        ValueError: no such field, or not a number in the scene.
+    """
+    chosen, skipped = _checkable(scene, fields)
+    dtype = jnp.result_type(*(field.leaf.get(scene) for field in chosen)) if chosen else jnp.result_type(float)
+    single = np.dtype(dtype) != np.float64
+    limit = tolerance if tolerance is not None else (1e-3 if single else 1e-6)
+    random = np.random.default_rng(seed)
+    world = World(scene, jnp.ones(0, dtype))
+    parameters, described = free_parameters(world, [field.path for field in chosen], [], dtype)
+    numbers = [
+        np.sort(random.permutation(field.numbers)[:MAX_NUMBERS]) if len(field.numbers) > MAX_NUMBERS else field.numbers
+        for field in described
+    ]
+    tangents = {
+        int(k): np.asarray(_forward(parameters, world, samples, options, k), np.float64)
+        for k in np.concatenate(numbers)
+    }
+    with jax.enable_x64(True):
+        wide = _widen((parameters, world, samples))
+        slopes = {k: _slopes(*wide, k, options) for k in tangents}
+
+    rows = []
+    for field, own in zip(described, numbers, strict=True):
+        smooth = np.all([slopes[k].smooth for k in own.tolist()], axis=0)
+        weights = random.choice([-1.0, 1.0], size=smooth.shape) * smooth
+        pulled = np.asarray(_reverse(parameters, world, samples, options, jnp.asarray(weights, dtype)), np.float64)
+        largest = max(float(np.max(np.abs(slopes[k].value))) for k in own.tolist())
+        forward = reverse = 0.0
+        scale = max(largest, *(1e4 * slopes[k].noise for k in own.tolist()))
+        for k in own.tolist():
+            forward = _worst(forward, float(np.max(slopes[k].distance(tangents[k]))) / scale)
+            terms = weights * slopes[k].value
+            size = max(float(np.sum(np.abs(terms))), 1e-3 * scale * smooth.size)
+            reverse = _worst(reverse, abs(float(pulled[k] - np.sum(terms))) / size)
+        kinks = int(np.count_nonzero(~np.all(smooth, axis=0)))
+        rows.append(GradientRow(field.path, largest, forward, reverse, kinks))
+    return GradientCheck(tuple(rows), skipped, limit, "float32" if single else "float64")
+
+
+def _checkable(scene: Scene, wanted: Path | Iterable[Path] | None) -> tuple[list[paths.Field], tuple[str, ...]]:
+    """Fields to check, and those whose present value switches them off."""
+    every = paths.fields(scene)
+    if wanted is not None:
+        masks = {selection.leaf: selection.mask for selection in paths.select(scene, wanted)}
+        every = [field for field in every if field.leaf in masks and np.any(masks[field.leaf][field.index])]
+    chosen, skipped = [], []
+    for field in every:
+        value = field.value(scene)
+        off = not np.all(np.isfinite(value)) or (field.leaf.range.open_below and np.any(value <= 0))
+        (skipped if off else chosen).append(field)
+    return chosen, tuple(field.path for field in skipped)
+
+
+def _worst(a: float, b: float) -> float:
+    """The larger; NaN if either is NaN."""
+    return b if b > a or np.isnan(b) else a
+
+
+def _widen(tree: Any) -> Any:
+    def widen(leaf: Any) -> Any:
+        return jnp.asarray(leaf, jnp.float64) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+
+    return jax.tree.map(widen, tree)
+
+
+def _image(parameters: Parameters, world: World, samples: SampleBuffer, values: Any, options: Any) -> Any:
+    return samples.in_sample_order(shade_planes(parameters.world(world, values).scene, samples, options))
+
+
+@eqx.filter_jit
+def _forward(parameters: Parameters, world: World, samples: SampleBuffer, options: Any, number: Any) -> Any:
+    values = parameters.start
+    direction = jnp.zeros_like(values).at[number].set(1)
+    return jax.jvp(lambda v: _image(parameters, world, samples, v, options), (values,), (direction,))[1]
+
+
+@eqx.filter_jit
+def _reverse(parameters: Parameters, world: World, samples: SampleBuffer, options: Any, weights: Any) -> Any:
+    _, pull = jax.vjp(lambda v: _image(parameters, world, samples, v, options), parameters.start)
+    return pull(weights)[0]
+
+
+@eqx.filter_jit
+def _images_at(parameters: Parameters, world: World, samples: SampleBuffer, options: Any, number: Any, at: Any) -> Any:
+    return jax.lax.map(lambda x: _image(parameters, world, samples, parameters.start.at[number].set(x), options), at)
+
+
+class _Slopes(NamedTuple):
+    """Differences of the image by one number, [4, samples]: from below, from above, and where the two agree."""
+
+    below: np.ndarray
+    above: np.ndarray
+    smooth: np.ndarray
+    noise: float
+    """What rounding alone can make of a difference."""
+
+    @property
+    def value(self) -> np.ndarray:
+        """The central difference."""
+        return (self.below + self.above) / 2
+
+    def distance(self, derivative: np.ndarray) -> np.ndarray:
+        """How far a derivative is off: from the difference, or at a kink from all values between both sides and 0."""
+        low = np.where(self.smooth, self.value, np.minimum(np.minimum(self.below, self.above), 0))
+        high = np.where(self.smooth, self.value, np.maximum(np.maximum(self.below, self.above), 0))
+        return np.maximum(np.maximum(low - derivative, derivative - high), 0) + np.where(
+            np.isnan(derivative), np.nan, 0
+        )
+
+
+def _slopes(parameters: Parameters, world: World, samples: SampleBuffer, number: int, options: Any) -> _Slopes:
+    """Second-order differences from below and from above; where the equation ends on one side, the other side's."""
+    value = float(parameters.start[number])
+    step = 2.0 ** np.round(np.log2(np.cbrt(np.finfo(np.float64).eps) * max(abs(value), 0.1)))
+    points = jnp.asarray(value + step * np.array([-2.0, -1.0, 0.0, 1.0, 2.0]))
+    images = np.asarray(_images_at(parameters, world, samples, options, number, points))
+    below = (images[0] - 4 * images[1] + 3 * images[2]) / (2 * step)
+    above = (-3 * images[2] + 4 * images[3] - images[4]) / (2 * step)
+    below, above = np.where(np.isfinite(below), below, above), np.where(np.isfinite(above), above, below)
+    # Rounding moves a difference by about eps / step; a kink moves one side of it by far more.
+    noise = 64 * np.finfo(np.float64).eps * np.max(np.abs(images[2])) / step
+    size = np.maximum(np.maximum(np.abs(below), np.abs(above)), 1e-3 * np.max(np.abs(above)))
+    return _Slopes(below, above, np.abs(below - above) <= 1e-6 * size + noise, float(noise))

@@ -1,0 +1,80 @@
+"""Residuals: how far the model is from a picture, and how loudly each difference counts."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..lighting import shade_planes
+from .views import ViewData
+
+LossKind = Literal["squares", "huber", "cauchy"]
+
+
+def weighted_difference(
+    color: Float[Array, "3 points"],
+    target: Float[Array, "3 points"],
+    root_weight: Float[Array, "channels points"],
+    view: ViewData,
+) -> Float[Array, "3 points"]:
+    """Square root of the weight x (color - target); beyond the sensor's range only the wrong side counts.
+
+    A saturated target is a lower limit, a dark one an upper limit (censored observations).
+    """
+    difference = color - target
+    difference = jnp.where(target >= view.saturated, jnp.minimum(difference, 0), difference)
+    difference = jnp.where(target <= view.dark, jnp.maximum(difference, 0), difference)
+    return difference * root_weight
+
+
+def composited(color: Array, alpha: Array, background: Array | None) -> Array:
+    """The colour of a sample over the background; alpha is ignored where there is none."""
+    return color if background is None else alpha * color + (1 - alpha) * background
+
+
+def view_colors(scene: object, view: ViewData, exposure: Array) -> Float[Array, "3 points"]:
+    """What the model says a view looks like, all points at once; a point with several samples is their weighted sum.
+
+    Args:
+        scene: the scene as this view saw it (`scene_of_view`).
+        view: its samples, background and pixels.
+        exposure: [], factor on all colours.
+    """
+    planes = shade_planes(scene, view.samples, plan=view.plan)  # type: ignore[arg-type]
+    color, alpha = planes[:3], planes[3]
+    if view.pixel is None:
+        return exposure * composited(color, alpha, view.background)
+    assert view.share is not None
+    points = view.target.shape[-1]
+    share = view.share if view.background is None else view.share * alpha
+    color = _gather(color * share, view.pixel, points)
+    if view.background is not None:
+        color = color + (1 - _gather(share[None], view.pixel, points)) * view.background
+    return exposure * color
+
+
+def _gather(planes: Array, pixel: Array, points: int) -> Array:
+    """Sums of [C, slots] over the slots of each point; padding goes to a row that is cut off."""
+    return jax.ops.segment_sum(planes.T, pixel, num_segments=points + 1)[:points].T
+
+
+def half_loss(kind: LossKind, scale: Array, residual: Array) -> Array:
+    """Half the sum of rho(r^2): squares, Huber (linear beyond `scale`) or Cauchy (logarithmic)."""
+    if kind == "squares":
+        flat = residual.reshape(-1)
+        return jnp.vdot(flat, flat, precision="highest") / 2
+    size = jnp.abs(residual) / scale
+    huber = jnp.where(size <= 1, size * size / 2, size - 0.5)
+    each = huber if kind == "huber" else jnp.log1p(size * size) / 2
+    return scale * scale * jnp.sum(each)
+
+
+def reweight(kind: LossKind, scale: Array, residual: Array) -> Array | None:
+    """rho'(r^2) at each residual: how much a robust loss still listens to it. None: 1."""
+    if kind == "squares":
+        return None
+    size = jnp.abs(residual) / scale
+    return 1 / jnp.maximum(size, 1) if kind == "huber" else 1 / (1 + size * size)
