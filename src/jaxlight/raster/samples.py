@@ -29,6 +29,9 @@ class SampleBuffer(eqx.Module):
     """The viewer's position."""
     camera_to_world: Float[Array, "3 3"] | None
     """Rotation from camera axes (x right, y up, looking along -z) to the world; aims the headlight."""
+    pixel_to_world: Float[Array, "3 3"] | None
+    """(u, v, 1) in pixels, (0, 0) the outer corner of the top left one, to the direction of its ray in world axes; what
+    is behind the geometry is seen along it."""
     color_planes: Float[Array, "components slots"] | None
     """Interpolated per-vertex or per-face colour (RGB or RGBA), or None."""
     texel_index: Int[Array, "4 slots"] | None
@@ -68,6 +71,7 @@ class SampleBuffer(eqx.Module):
         width: int | None = None,
         height: int | None = None,
         camera_to_world: Any = None,
+        pixel_to_world: Any = None,
         tile: int | None = None,
         dtype: Any = None,
     ) -> SampleBuffer:
@@ -83,6 +87,7 @@ class SampleBuffer(eqx.Module):
             pixel: [N], row * width + column, row 0 at the top; needs `width` and `height`.
             coverage: [N], share of the pixel that a sample stands for.
             camera_to_world: [3, 3], rotation from camera axes to the world.
+            pixel_to_world: [3, 3], (u, v, 1) in pixels to the direction of its ray in world axes.
             tile: samples a tile, a power of two (default: chosen from N).
             dtype: float type of the arrays (default: JAX's).
 
@@ -106,6 +111,7 @@ class SampleBuffer(eqx.Module):
             pixel = _indices("pixel", pixel, (count,), below=width * height)
         coverage = None if coverage is None else _vector("coverage", coverage, (count,))
         camera_to_world = None if camera_to_world is None else _vector("camera_to_world", camera_to_world, (3, 3))
+        pixel_to_world = None if pixel_to_world is None else _vector("pixel_to_world", pixel_to_world, (3, 3))
         if tile is not None and (tile < 1 or tile & (tile - 1)):
             raise ValueError(f"SampleBuffer: tile: expected a power of two, got {tile}")
         layout = _layout(surface, tile)
@@ -125,6 +131,7 @@ class SampleBuffer(eqx.Module):
             normal_planes=planes(normal),
             eye=jnp.asarray(eye, dtype=dtype),
             camera_to_world=None if camera_to_world is None else jnp.asarray(camera_to_world, dtype=dtype),
+            pixel_to_world=None if pixel_to_world is None else jnp.asarray(pixel_to_world, dtype=dtype),
             color_planes=planes(color),
             texel_index=None if index is None else jnp.asarray(index, dtype=jnp.int32),
             texel_weight=planes(texel_weight),

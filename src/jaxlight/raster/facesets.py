@@ -1,0 +1,149 @@
+"""IndexedFaceSet, IndexedTriangleSet and TriangleSet as triangles (X3D 11.2.3, 11.4.6, 11.4.12, 13.3.6)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..scene import nodes
+from .normals import crease_normals, vertex_normals
+from .polygons import Faces, split_concave, split_fans
+from .triangles import Triangles
+
+
+def indexed_face_set(node: nodes.IndexedFaceSet, where: str) -> Triangles:
+    """Polygons with per-vertex or per-face colours and normals (X3D 13.3.6).
+
+    Index lists that are absent default as the clause says: per vertex to `coordIndex`, per face to 0, 1, 2, ...
+
+    Raises:
+        ValueError: an index, or a number of indices, that does not fit; says which field of which shape (`where`).
+    """
+    points = _values(node.coord, "point", 3)
+    faces = Faces.read(node.coord_index)
+    vertex = node.coord_index[faces.slot]
+    _check(vertex, len(points), f"{where}.coord_index", "coord.point")
+    corner_points = points[vertex]
+    split = split_fans(faces) if node.convex else split_concave(faces, corner_points, f"{where}.coord_index")
+
+    color = normal = None
+    if node.color is not None and len(node.color.color):
+        index = _attribute_index(node, faces, "color_index", node.color_per_vertex, where)
+        _check(index, len(node.color.color), f"{where}.color_index", "color.color")
+        color = node.color.color[index]
+    if node.normal is not None and len(node.normal.vector):
+        index = _attribute_index(node, faces, "normal_index", node.normal_per_vertex, where)
+        _check(index, len(node.normal.vector), f"{where}.normal_index", "normal.vector")
+        normal = node.normal.vector[index]
+    else:
+        crease = node.crease_angle if node.normal_per_vertex else 0.0
+        normal = crease_normals(faces, vertex, corner_points, crease) * (1.0 if node.ccw else -1.0)
+    if node.tex_coord is not None and len(node.tex_coord.point):
+        index = _attribute_index(node, faces, "tex_coord_index", True, where)
+        _check(index, len(node.tex_coord.point), f"{where}.tex_coord_index", "tex_coord.point")
+        texcoord = node.tex_coord.point[index]
+    else:
+        texcoord = bounding_box_mapping(corner_points)
+    return _triangles(split, corner_points, normal, texcoord, color, ccw=node.ccw)
+
+
+def triangle_set(node: nodes.IndexedTriangleSet | nodes.TriangleSet, where: str) -> Triangles:
+    """Triangles from index triples or from consecutive vertices; a remainder of one or two is ignored (X3D 11.4.6).
+
+    Attributes belong to vertices; `color_per_vertex` FALSE is ignored, as the clause says. Normals may be one a
+    triangle.
+
+    Raises:
+        ValueError: an index that does not fit, or too few colours, normals or texture coordinates.
+    """
+    points = _values(node.coord, "point", 3)
+    if isinstance(node, nodes.IndexedTriangleSet):
+        field = f"{where}.index"
+        if np.any(node.index < 0):
+            raise ValueError(f"{field}: expected indices >= 0 (triangles need no -1 between them), got -1")
+        vertex = node.index[: len(node.index) // 3 * 3]
+    else:
+        field = f"{where}.coord.point"
+        vertex = np.arange(len(points) // 3 * 3)
+    _check(vertex, len(points), field, "coord.point")
+    faces = Faces.triangles(len(vertex) // 3)
+    corner_points = points[vertex]
+
+    color = None
+    if node.color is not None and len(node.color.color):
+        _check(vertex, len(node.color.color), field, "color.color")
+        color = node.color.color[vertex]
+    if node.normal is not None and len(node.normal.vector):
+        index = vertex if node.normal_per_vertex else faces.face
+        _check(index, len(node.normal.vector), field, "normal.vector")
+        normal = node.normal.vector[index]
+    else:
+        smooth = node.normal_per_vertex and isinstance(node, nodes.IndexedTriangleSet)
+        flat = crease_normals(faces, vertex, corner_points, 0.0)
+        normal = vertex_normals(faces, vertex, corner_points) if smooth else flat
+        normal = normal * (1.0 if node.ccw else -1.0)
+    if node.tex_coord is not None and len(node.tex_coord.point):
+        _check(vertex, len(node.tex_coord.point), field, "tex_coord.point")
+        texcoord = node.tex_coord.point[vertex]
+    else:
+        texcoord = bounding_box_mapping(corner_points)
+    return _triangles(split_fans(faces), corner_points, normal, texcoord, color, ccw=node.ccw)
+
+
+def bounding_box_mapping(points: np.ndarray) -> np.ndarray:
+    """Default texture coordinates [C, 2] of points [C, 3]: s along the box's longest side from 0 to 1, t along the next
+    from 0 to the ratio of the two; among equal sides x before y before z (X3D 13.3.6)."""
+    if len(points) == 0:
+        return np.zeros((0, 2))
+    low = points.min(axis=0)
+    size = points.max(axis=0) - low
+    s, t = np.argsort(-size, kind="stable")[:2]
+    return (points[:, [s, t]] - low[[s, t]]) / (size[s] or 1.0)
+
+
+def _values(node: Any, field: str, columns: int) -> np.ndarray:
+    return np.zeros((0, columns)) if node is None else getattr(node, field)
+
+
+def _attribute_index(
+    node: nodes.IndexedFaceSet, faces: Faces, field: str, per_vertex: bool, where: str
+) -> np.ndarray:
+    """[C], which colour, normal or texture coordinate each corner takes (X3D 13.3.6)."""
+    index = getattr(node, field)
+    if per_vertex:
+        if len(index) == 0:
+            return node.coord_index[faces.slot]
+        if faces.slot.size and len(index) <= faces.slot[-1]:
+            raise ValueError(f"{where}.{field}: expected an index for every one in coord_index, got {len(index)}")
+        per_corner = index[faces.slot]
+        if np.any(per_corner < 0):
+            raise ValueError(f"{where}.{field}: -1 must stand where coord_index has it; it stands elsewhere too")
+        return per_corner
+    if len(index) == 0:
+        return faces.face
+    if len(index) < len(faces.count):
+        raise ValueError(f"{where}.{field}: expected an index for each of {len(faces.count)} faces, got {len(index)}")
+    return index[faces.face]
+
+
+def _check(index: np.ndarray, size: int, field: str, of: str) -> None:
+    """Raise ValueError unless every index is in [0, size)."""
+    bad = np.flatnonzero((index < 0) | (index >= size))
+    if len(bad):
+        have = f"{of} has {size} values" if size else f"{of} is empty"
+        raise ValueError(f"{field}: index {index[bad[0]]} does not exist, {have}")
+
+
+def _triangles(
+    split: np.ndarray,
+    points: np.ndarray,
+    normal: np.ndarray,
+    texcoord: np.ndarray,
+    color: np.ndarray | None,
+    *,
+    ccw: bool,
+) -> Triangles:
+    """Corners gathered by triangle; of clockwise faces the corners are turned round."""
+    split = split if ccw else split[:, ::-1]
+    return Triangles(points[split], normal[split], texcoord[split], None if color is None else color[split])

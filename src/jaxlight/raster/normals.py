@@ -1,0 +1,88 @@
+"""Normals for faces that come without: flat, or smooth across edges below the crease angle (X3D 11.2.3, 13.3.6)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .polygons import Faces, face_normals
+
+
+def crease_normals(faces: Faces, vertex: np.ndarray, points: np.ndarray, crease_angle: float) -> np.ndarray:
+    """Normals [C, 3] at the corners: smooth across an edge where the two faces' normals differ by less than the angle.
+
+    The faces around a vertex that are joined by smooth edges share one normal there: the mean of their unit normals,
+    weighted by each face's angle at the vertex, so that it does not depend on how faces are cut.
+
+    Args:
+        faces: the polygons.
+        vertex: [C], the index of each corner's vertex; faces are neighbours where they share an edge's two vertices.
+        points: [C, 3], the corners.
+        crease_angle: radians.
+    """
+    unit = _unit(face_normals(faces, points))
+    if crease_angle <= 0 or len(points) == 0:
+        return unit[faces.face]
+    return _shared(faces, unit, _smooth_groups(faces, vertex, unit, crease_angle), _corner_angles(faces, points))
+
+
+def vertex_normals(faces: Faces, vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Normals [C, 3]: at each vertex the mean of the unit normals of all faces that share it (X3D 11.4.6)."""
+    return _shared(faces, _unit(face_normals(faces, points)), vertex, np.ones(len(points)))
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+
+
+def _shared(faces: Faces, unit: np.ndarray, group: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """[C, 3], the weighted mean of the unit face normals over each group of corners, normalised."""
+    weighted = unit[faces.face] * weight[:, None]
+    sums = np.stack([np.bincount(group, weighted[:, axis]) for axis in range(3)], axis=1)[group]
+    length = np.linalg.norm(sums, axis=1, keepdims=True)
+    # Faces that cancel out (a sheet folded upon itself) keep their own normals.
+    return np.where(length > 1e-9, sums / np.maximum(length, 1e-9), unit[faces.face])
+
+
+def _corner_angles(faces: Faces, points: np.ndarray) -> np.ndarray:
+    """[C], the angle of each face at its corner."""
+    back, on = points[faces.preceding] - points, points[faces.following] - points
+    return np.arctan2(np.linalg.norm(np.cross(on, back), axis=1), np.einsum("ij,ij->i", on, back))
+
+
+def _smooth_groups(faces: Faces, vertex: np.ndarray, unit: np.ndarray, crease_angle: float) -> np.ndarray:
+    """[C], a number for each set of corners that share a normal: same vertex, joined through smooth edges."""
+    corner = np.arange(len(vertex))
+    low, high = np.minimum(vertex, vertex[faces.following]), np.maximum(vertex, vertex[faces.following])
+    order = np.lexsort((corner, high, low))
+    # Corners whose outgoing edges are the same edge stand side by side: each is compared with its successor.
+    a, b = order[:-1], order[1:]
+    shared = (low[a] == low[b]) & (high[a] == high[b]) & (low[a] != high[a])
+    a, b = a[shared], b[shared]
+    ua, ub = unit[faces.face[a]], unit[faces.face[b]]
+    angle = np.arctan2(np.linalg.norm(np.cross(ua, ub), axis=1), np.einsum("ij,ij->i", ua, ub))
+    smooth = angle < crease_angle
+    a, b = a[smooth], b[smooth]
+    # Both ends of the edge: corners of the two faces at the edge's low vertex, and at its high vertex.
+    next_a, next_b = faces.following[a], faces.following[b]
+    same_way = vertex[a] == vertex[b]
+    pairs = np.concatenate(
+        [
+            np.stack([a, np.where(same_way, b, next_b)]),
+            np.stack([next_a, np.where(same_way, next_b, b)]),
+        ],
+        axis=1,
+    )
+    return _components(len(vertex), pairs)
+
+
+def _components(count: int, pairs: np.ndarray) -> np.ndarray:
+    """[count], the smallest member of each one's connected set; pairs: [2, P]. Labels fall until nothing changes."""
+    label = np.arange(count)
+    while True:
+        lowest = np.minimum(label[pairs[0]], label[pairs[1]])
+        before = label.copy()
+        np.minimum.at(label, label[pairs[0]], lowest)
+        np.minimum.at(label, label[pairs[1]], lowest)
+        label = label[label]
+        if np.array_equal(before, label):
+            return label

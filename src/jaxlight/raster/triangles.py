@@ -1,0 +1,59 @@
+"""Triangles of one shape, in its own coordinates: what every geometry node becomes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+
+@dataclasses.dataclass(frozen=True)
+class Quadric:
+    """The surface that curved triangles stand for: axes . (p - center)^2 = level, in the shape's coordinates.
+
+    Its gradient, axes * (p - center), points outwards.
+    """
+
+    axes: tuple[float, float, float]
+    center: tuple[float, float, float]
+    level: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Triangles:
+    """T triangles, corners counterclockwise seen from the front; every attribute is given at the corners (float64)."""
+
+    position: np.ndarray
+    """[T, 3 corners, 3]."""
+    normal: np.ndarray
+    """[T, 3 corners, 3], any length, as the equation is to interpolate them."""
+    texcoord: np.ndarray
+    """[T, 3 corners, 2]."""
+    color: np.ndarray | None = None
+    """[T, 3 corners, 3 or 4], or None."""
+    quadric: Quadric | None = None
+    """Exact surface of the triangles marked in `curved`."""
+    curved: np.ndarray | None = None
+    """[T], True where a triangle approximates `quadric`."""
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def select(self, keep: np.ndarray) -> Triangles:
+        """The triangles of a boolean mask or index list."""
+        return Triangles(
+            self.position[keep],
+            self.normal[keep],
+            self.texcoord[keep],
+            None if self.color is None else self.color[keep],
+            self.quadric,
+            None if self.curved is None else self.curved[keep],
+        )
+
+    def without_degenerate(self) -> Triangles:
+        """Without triangles that have no area: two corners coincide, or all three lie on a line."""
+        edges = self.position[:, [1, 2, 0]] - self.position
+        length = np.linalg.norm(edges, axis=2).max(axis=1, initial=0.0)
+        area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+        flat = ~(area > 1e-14 * length**2)
+        return self.select(~flat) if np.any(flat) else self
