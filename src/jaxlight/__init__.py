@@ -16,7 +16,17 @@ if TYPE_CHECKING:
     from .fit import Free as Free
     from .fit import View as View
     from .fit import fit as fit
+    from .formats import SceneFileError as SceneFileError
+    from .formats import SceneFileWarning as SceneFileWarning
+    from .formats import load as load
+    from .formats import read_image as read_image
+    from .formats import save as save
+    from .formats import write_image as write_image
+    from .lighting import LightingOptions as LightingOptions
+    from .lighting import shade as shade
+    from .raster import Camera as Camera
     from .raster import SampleBuffer as SampleBuffer
+    from .raster import rasterize as rasterize
     from .scene import DirectionalLights as DirectionalLights
     from .scene import Fog as Fog
     from .scene import Materials as Materials
@@ -29,11 +39,21 @@ if TYPE_CHECKING:
 
 _STAGES = {
     "scene": [
-        "DirectionalLights", "Fog", "Materials", "PointLights", "Scene", "SpotLights", "Surface", "Texture", "nodes",
+        "DirectionalLights",
+        "Fog",
+        "Materials",
+        "PointLights",
+        "Scene",
+        "SpotLights",
+        "Surface",
+        "Texture",
+        "nodes",
     ],
-    "raster": ["SampleBuffer"],
+    "formats": ["SceneFileError", "SceneFileWarning", "load", "read_image", "save", "write_image"],
+    "raster": ["Camera", "SampleBuffer", "rasterize"],
+    "lighting": ["LightingOptions", "shade"],
     "fit": ["Fit", "Free", "View", "fit"],
-}  # fmt: skip
+}
 _STAGE_OF = {name: stage for stage, names in _STAGES.items() for name in names}
 
 __all__ = list(_STAGE_OF)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -1,0 +1,24 @@
+"""Input files that exist, and output files that never destroy an input."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+
+def existing(*paths: Path) -> None:
+    """Raise ValueError for the first path that is not a file."""
+    for path in paths:
+        if path.is_dir():
+            raise ValueError(f"{path}: expected a file, got a folder")
+        if not path.is_file():
+            raise ValueError(f"{path}: no such file")
+
+
+def spare(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
+    """Raise ValueError if writing one of `outputs` would destroy one of `inputs` (also through a link)."""
+    inputs = [path for path in inputs if path.exists()]
+    for output in outputs:
+        for path in inputs:
+            if output.exists() and output.samefile(path):
+                raise ValueError(f"{output}: is an input of this command; choose another output")

@@ -1,0 +1,62 @@
+"""`jaxlight render`: a scene to a picture."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from .files import existing, spare
+from .options import Precision, Reading, ScenePath, SharedReading, use_precision
+from .progress import stages
+
+
+@dataclasses.dataclass(frozen=True)
+class Render:
+    """Render a scene to a picture.
+
+    $ jaxlight render scene.x3d --output scene.png
+    $ jaxlight render scene.x3d --output big.png --width 1920 --height 1080 --samples 16
+    $ jaxlight render scene.x3d --output linear.png --encode srgb --viewpoint top
+
+    The picture holds the equation's numbers as they are, as X3D browsers show them; values above 1 are clamped."""
+
+    scene: ScenePath
+    """An X3D file, or a mesh (glb, obj, ply, stl)."""
+    output: Path
+    """The picture to write (.png)."""
+    width: int = 512
+    """Pixels."""
+    height: int = 512
+    """Pixels."""
+    samples: int = 1
+    """Samples a pixel; 16 gives smooth edges."""
+    viewpoint: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
+    """DEF name or number of a Viewpoint (default: the first; without any, a camera that frames the shapes)."""
+    encode: Literal["none", "srgb"] = "none"
+    """Write the numbers as they are, or as sRGB of linear light."""
+    precision: Precision = "float32"
+    """Type of the numbers."""
+    reading: SharedReading = dataclasses.field(default_factory=Reading)
+
+    def run(self) -> int:
+        """Write the picture."""
+        existing(self.scene)
+        spare([self.scene], [self.output])
+        picture_size(self.width, self.height, self.samples)
+        with stages(4) as stage:
+            use_precision(self.precision)
+            stage(f"reading {self.scene}")
+            from jaxlight import load, rasterize, render, write_image
+
+            scene = load(self.scene)
+            camera = camera_of(scene, self.viewpoint)
+            stage("finding what is visible")
+            samples = rasterize(scene, camera, self.width, self.height, samples=self.samples)
+            stage("shading")
+            picture = render(scene, samples, self.reading.lighting_options())
+            stage(f"writing {self.output}")
+            write_image(self.output, encode(picture, self.encode))
+        return 0
