@@ -1,0 +1,68 @@
+"""The JSON header of a binary glTF file: checked before trimesh reads the file, and the source of exact factors.
+
+trimesh rounds material colours to 8 bits and drops names that repeat, so materials are given their number as name.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+from .errors import SceneFileError
+from .limits import MAX_FILE_BYTES
+from .notes import ReadNotes
+
+_JSON_CHUNK = 0x4E4F534A
+_KNOWN_EXTENSIONS = ("KHR_materials_", "KHR_texture_transform", "KHR_lights_punctual", "EXT_texture_webp")
+_UNUSED_TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")
+
+
+def numbered_materials(path: Path, data: bytes, notes: ReadNotes) -> tuple[bytes, list[dict[str, Any]]]:
+    """The file with each material named by its number, and the materials as they stand in the header.
+
+    Raises:
+        SceneFileError: the header cannot be read, announces more numbers than a file can hold, or needs an extension
+            that is not read.
+    """
+    if len(data) < 20:
+        raise SceneFileError(path, None, "truncated glb: no header")
+    _, version, _, length, kind = struct.unpack_from("<5I", data)
+    if version != 2 or kind != _JSON_CHUNK or 20 + length > len(data):
+        raise SceneFileError(path, None, "not a glTF 2 binary file, or truncated in its header")
+    try:
+        header = json.loads(data[20 : 20 + length])
+        materials = _materials(path, header, notes)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        if isinstance(error, SceneFileError):
+            raise
+        raise SceneFileError(path, None, f"malformed glTF header: {type(error).__name__}: {error}") from None
+    if materials:
+        header["materials"] = [{**material, "name": str(row)} for row, material in enumerate(materials)]
+    chunk = json.dumps(header).encode()
+    chunk += b" " * (-len(chunk) % 4)
+    rest = data[20 + length :]
+    head = struct.pack("<4s4I", b"glTF", 2, 20 + len(chunk) + len(rest), len(chunk), _JSON_CHUNK)
+    return head + chunk + rest, materials
+
+
+def _materials(path: Path, header: dict[str, Any], notes: ReadNotes) -> list[dict[str, Any]]:
+    for name in header.get("extensionsRequired", []):
+        if not str(name).startswith(_KNOWN_EXTENSIONS):
+            raise SceneFileError(path, None, f"needs the glTF extension {name}, which jaxlight does not read")
+    if sum(int(accessor["count"]) for accessor in header.get("accessors", [])) > MAX_FILE_BYTES:
+        raise SceneFileError(path, None, f"announces more than {MAX_FILE_BYTES} numbers")
+    for kind in ("animations", "skins", "cameras"):
+        if header.get(kind):
+            notes.skipped[f"glTF {kind}"] += len(header[kind])
+    lights = header.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
+    if lights:
+        notes.skipped["glTF lights"] += len(lights)
+    materials = list(header.get("materials", []))
+    for material in materials:
+        pbr = material.get("pbrMetallicRoughness", {})
+        for texture in (*_UNUSED_TEXTURES, "metallicRoughnessTexture"):
+            if texture in material or texture in pbr:
+                notes.unused[f"glTF {texture}"] += 1
+    return materials

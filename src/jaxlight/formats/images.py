@@ -1,0 +1,181 @@
+"""Image files <-> arrays of numbers as they stand in the file; what they mean (linear, sRGB) is the image stage's.
+
+PNG, JPEG, BMP, GIF, TIFF and WebP through Pillow; EXR and 16-bit colour PNG through OpenImageIO (extra `exr`).
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageOps
+
+from .errors import SceneFileError
+from .limits import MAX_PIXELS, read_bounded
+from .safe_write import written_whole
+
+_PILLOW_FORMATS = ("PNG", "JPEG", "BMP", "GIF", "TIFF", "WEBP")
+_MODES = {1: "L", 2: "LA", 3: "RGB", 4: "RGBA"}
+_PNG = b"\x89PNG\r\n\x1a\n"
+_EXR = b"\x76\x2f\x31\x01"
+
+
+def read_image(path: str | Path) -> np.ndarray:
+    """The pixels of an image file.
+
+    Args:
+        path: PNG, JPEG, BMP, GIF, TIFF or WebP, 8 bits a component; PNG with 16; EXR.
+
+    Returns:
+        float64 [height, width, 1 to 4 components], row 0 at the top. Integers are divided by the largest one of their
+        size, so lie in [0, 1]; the numbers of an EXR file stand as they are. A camera's rotation mark is obeyed.
+
+    Raises:
+        SceneFileError: no such file, not an image, damaged, or more than MAX_PIXELS pixels.
+        ImportError: the file needs OpenImageIO, which is not installed.
+    """
+    path = Path(path)
+    return decode_image(read_bounded(path), path)
+
+
+def decode_image(data: bytes, path: Path) -> np.ndarray:
+    """As `read_image`, from the content of a file; `path` names it in messages (and is read again for EXR)."""
+    if data.startswith(_EXR):
+        return _read_with_openimageio(path, "EXR")
+    if data.startswith(_PNG) and data[24:25] == b"\x10" and data[25:26] in (b"\x02", b"\x04", b"\x06"):
+        return _read_with_openimageio(path, "16-bit colour PNG")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Pillow's own word on large images; the limit here is ours
+        try:
+            with Image.open(io.BytesIO(data), formats=_PILLOW_FORMATS) as image:
+                return pixels_of(image, path)
+        except SceneFileError:
+            raise
+        except (OSError, SyntaxError, ValueError, EOFError, MemoryError, Image.DecompressionBombError) as error:
+            raise SceneFileError(path, None, f"not an image that can be read: {_reason(error)}") from None
+        except Exception as error:  # a decoder stumbling over a damaged file, in whatever way
+            raise SceneFileError(path, None, f"damaged image: {type(error).__name__}: {error}") from None
+
+
+def pixels_of(image: Image.Image, path: Path) -> np.ndarray:
+    """The pixels of an opened Pillow image, as `read_image` returns them."""
+    if image.width * image.height > MAX_PIXELS:
+        raise SceneFileError(path, None, f"{image.width} x {image.height} pixels; at most {MAX_PIXELS} are read")
+    image.load()
+    image = ImageOps.exif_transpose(image) or image
+    if image.mode.startswith("I"):
+        pixels = np.asarray(image, dtype=np.float64)
+        largest = 65535.0
+    elif image.mode == "F":
+        pixels, largest = np.asarray(image, dtype=np.float64), 1.0
+    else:
+        pixels, largest = np.asarray(image.convert(_plain_mode(image)), dtype=np.float64), 255.0
+    return np.atleast_3d(pixels) / largest
+
+
+def _plain_mode(image: Image.Image) -> str:
+    gray = image.mode in ("1", "L", "LA", "La")
+    alpha = "transparency" in image.info or image.mode in ("LA", "La", "RGBA", "RGBa", "PA")
+    return _MODES[(1 if gray else 3) + alpha]
+
+
+def write_image(path: str | Path, image: Any, *, bits: int = 8) -> None:
+    """Write an image file whole: a reader sees the old file or the new one.
+
+    Args:
+        path: .png, .jpg, .jpeg or .exr says the format.
+        image: [height, width] or [height, width, 1 to 4 components], row 0 at the top. Integer formats hold [0, 1]:
+            smaller and larger numbers are clamped, then rounded; EXR (32-bit float) holds them as they are.
+        bits: 8 or 16 a component, of a PNG.
+
+    Raises:
+        ValueError: a shape, a suffix or a number (NaN) that cannot be written.
+        ImportError: it needs OpenImageIO, which is not installed.
+    """
+    path = Path(path)
+    pixels = np.asarray(image, dtype=np.float64)
+    pixels = pixels[:, :, None] if pixels.ndim == 2 else pixels
+    if pixels.ndim != 3 or pixels.shape[2] not in _MODES or pixels.size == 0:
+        raise ValueError(f"{path}: expected [height, width, 1 to 4 components], got shape {list(pixels.shape)}")
+    if np.isnan(pixels).any():
+        raise ValueError(f"{path}: the image holds NaN in {int(np.isnan(pixels).any(axis=2).sum())} pixels")
+    suffix = path.suffix.lower()
+    if suffix not in (".png", ".jpg", ".jpeg", ".exr"):
+        raise ValueError(f"{path}: expected a name that ends in .png, .jpg, .jpeg or .exr")
+    if bits not in (8, 16) or (bits == 16 and suffix != ".png"):
+        raise ValueError(f"{path}: expected 8 bits, or 16 for a .png, got bits={bits}")
+    if suffix in (".jpg", ".jpeg") and pixels.shape[2] in (2, 4):
+        raise ValueError(f"{path}: JPEG has no alpha; got {pixels.shape[2]} components")
+    with written_whole(path) as draft:
+        if suffix == ".exr":
+            _write_with_openimageio(draft, pixels.astype(np.float32), "float")
+        elif bits == 16:
+            _write_16_bit_png(draft, np.rint(np.clip(pixels, 0, 1) * 65535).astype(np.uint16))
+        else:
+            levels = np.rint(np.clip(pixels, 0, 1) * 255).astype(np.uint8)
+            squeezed = levels[:, :, 0] if levels.shape[2] == 1 else levels
+            options: dict[str, Any] = {} if suffix == ".png" else {"quality": 95, "subsampling": 0}
+            Image.fromarray(squeezed, _MODES[levels.shape[2]]).save(draft, **options)
+
+
+def _write_16_bit_png(path: Path, levels: np.ndarray) -> None:
+    if levels.shape[2] == 1:
+        Image.fromarray(levels[:, :, 0]).save(path)
+    else:
+        _write_with_openimageio(path, levels, "uint16")
+
+
+def _openimageio(what: str) -> Any:
+    try:
+        import OpenImageIO
+    except ImportError:
+        raise ImportError(f"{what} needs OpenImageIO: pip install 'jaxlight[exr]'") from None
+    return OpenImageIO
+
+
+def _read_with_openimageio(path: Path, what: str) -> np.ndarray:
+    library = _openimageio(f"{path}: reading {what}")
+    as_stored = library.ImageSpec()
+    as_stored.attribute("oiio:UnassociatedAlpha", 1)  # no multiplication of colour by alpha
+    file = library.ImageInput.open(str(path), as_stored)
+    if file is None:
+        raise SceneFileError(path, None, f"not an image that can be read: {library.geterror().strip()}")
+    try:
+        spec = file.spec()
+        if spec.width * spec.height > MAX_PIXELS:
+            raise SceneFileError(path, None, f"{spec.width} x {spec.height} pixels; at most {MAX_PIXELS} are read")
+        pixels = file.read_image(library.FLOAT)
+        if pixels is None:
+            raise SceneFileError(path, None, f"damaged image: {file.geterror().strip()}")
+    finally:
+        file.close()
+    pixels = np.atleast_3d(np.asarray(pixels, dtype=np.float64))
+    return pixels[:, :, _color_channels(list(spec.channelnames))]
+
+
+def _color_channels(names: list[str]) -> list[int]:
+    """Which channels are the picture: R, G, B (and A) by name, otherwise the first four."""
+    named = [names.index(name) for name in "RGBA" if name in names]
+    return named if len(named) >= 3 else list(range(min(len(names), 4)))
+
+
+def _write_with_openimageio(path: Path, pixels: np.ndarray, kind: str) -> None:
+    library = _openimageio(f"{path}: writing {'EXR' if kind == 'float' else '16-bit colour PNG'}")
+    height, width, components = pixels.shape
+    file = library.ImageOutput.create(str(path))
+    if file is None:
+        raise ValueError(f"{path}: {library.geterror().strip()}")
+    spec = library.ImageSpec(width, height, components, kind)
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    if components == 2:
+        spec.channelnames = ("Y", "A")
+    if not (file.open(str(path), spec) and file.write_image(pixels)):
+        raise ValueError(f"{path}: {file.geterror().strip()}")
+    file.close()
+
+
+def _reason(error: Exception) -> str:
+    return str(error).partition("<_io")[0].strip() or type(error).__name__

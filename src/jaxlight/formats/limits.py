@@ -1,0 +1,33 @@
+"""How large a file may be before it is refused: files come from strangers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .errors import SceneFileError
+
+MAX_FILE_BYTES = 256 * 2**20
+MAX_ELEMENTS = 1_000_000
+"""XML elements in one file."""
+MAX_NESTING = 400
+"""XML elements inside one another, and nodes inside one another when repeated nodes (USE) are counted."""
+MAX_PIXELS = 2**26
+"""Pixels of one image, and of all textures of one scene together."""
+
+
+def read_bounded(path: Path) -> bytes:
+    """The content of a file of at most MAX_FILE_BYTES.
+
+    Raises:
+        SceneFileError: there is no such file, it cannot be read, or it is too large.
+    """
+    try:
+        if not path.is_file():
+            raise SceneFileError(path, None, "is a folder" if path.is_dir() else "no such file")
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise SceneFileError(path, None, error.strerror or str(error)) from None
+    if len(data) > MAX_FILE_BYTES:
+        raise SceneFileError(path, None, f"larger than {MAX_FILE_BYTES // 2**20} MiB, the most that is read")
+    return data

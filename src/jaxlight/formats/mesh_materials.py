@@ -1,0 +1,107 @@
+"""Materials of mesh formats -> X3D's Material: stated rules, and starting points for a fit rather than equivalents."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..scene.nodes import Material
+
+_MAX_EXPONENT = 128.0
+"""X3D's shininess 1 (17.2.2.4)."""
+_DIELECTRIC = 0.04
+"""Reflectance of a dielectric seen straight on, as glTF assumes."""
+
+
+def material_from_mtl(name: str, values: dict[str, Any], glossiness: float) -> Material:
+    """The X3D material of an entry of an OBJ material library.
+
+    diffuseColor = Kd, specularColor = Ks (0 where illum is 0 or 1), emissiveColor = Ke, shininess = Ns / 128,
+    transparency = 1 - d (or Tr). ambientIntensity is the a for which a Kd comes closest to Ka; 0.2 without Ka.
+    Everything is clipped to [0, 1]. Under a texture, MTL multiplies by Kd: that is `texture_mode="modulate"`.
+
+    Args:
+        name: the entry's name, which becomes the DEF name.
+        values: its lines by lower-case key; values are numbers, or words.
+        glossiness: Ns.
+    """
+    diffuse = _color(values.get("kd"), (0.8, 0.8, 0.8))
+    illumination = _number(values.get("illum"), 2.0)
+    specular = _color(values.get("ks"), (0.0, 0.0, 0.0)) if illumination >= 2 else np.zeros(3)
+    ambient_intensity = 0.2
+    if values.get("ka") is not None and diffuse @ diffuse > 0:
+        ambient_intensity = float(_color(values["ka"], (0.0, 0.0, 0.0)) @ diffuse / (diffuse @ diffuse))
+    transparency = 1.0 - _number(values.get("d"), 1.0) if "d" in values else _number(values.get("tr"), 0.0)
+    return _material(
+        name,
+        ambient_intensity=ambient_intensity,
+        diffuse_color=diffuse,
+        emissive_color=_color(values.get("ke"), (0.0, 0.0, 0.0)),
+        shininess=glossiness / _MAX_EXPONENT if "ns" in values else 0.2,
+        specular_color=specular,
+        transparency=transparency,
+    )
+
+
+def material_from_gltf(name: str, description: dict[str, Any], *, see_through: bool) -> Material:
+    """The X3D material of a glTF metallic-roughness material.
+
+    With base colour b, metallic m, roughness r and F0 = 0.04 (1 - m) + b m, the exponent is n = 2 / r^4 - 2 in
+    [0, 128] (the Blinn-Phong lobe as wide as the microfacets') and shininess = n / 128;
+    specularColor = F0 (1 - r) (n + 8) / 8, the lobe's height; diffuseColor = b (1 - m (1 - r)): rough metal scatters.
+    emissiveColor = emissiveFactor. Everything is clipped to [0, 1]; the numbers stay linear, as they are in the file.
+
+    Args:
+        name: the DEF name.
+        description: the material of the glTF header.
+        see_through: alphaMode is not OPAQUE: transparency = 1 - alpha.
+    """
+    factors = description.get("pbrMetallicRoughness", {})
+    base = np.asarray(factors.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0)), dtype=np.float64)
+    metallic = float(factors.get("metallicFactor", 1.0))
+    roughness = float(np.clip(factors.get("roughnessFactor", 1.0), 0.0, 1.0))
+    exponent = float(np.clip(2.0 / max(roughness, 1e-3) ** 4 - 2.0, 0.0, _MAX_EXPONENT))
+    straight_on = _DIELECTRIC * (1.0 - metallic) + base[:3] * metallic
+    return _material(
+        name,
+        ambient_intensity=0.2,
+        diffuse_color=base[:3] * (1.0 - metallic * (1.0 - roughness)),
+        emissive_color=np.asarray(description.get("emissiveFactor", (0.0, 0.0, 0.0)), dtype=np.float64),
+        shininess=exponent / _MAX_EXPONENT,
+        specular_color=straight_on * (1.0 - roughness) * (exponent + 8.0) / 8.0,
+        transparency=1.0 - float(base[3]) if see_through else 0.0,
+    )
+
+
+def unlit_material_from_gltf(name: str, description: dict[str, Any]) -> Material:
+    """The X3D material of a glTF material that takes no light (KHR_materials_unlit): it only emits its base colour."""
+    base = description.get("pbrMetallicRoughness", {}).get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))
+    emissive = np.asarray(base, dtype=np.float64)[:3]
+    black = np.zeros(3)
+    return _material(name, diffuse_color=black, emissive_color=emissive, specular_color=black)
+
+
+def _material(name: str, **values: Any) -> Material:
+    clipped: dict[str, Any] = {field: np.clip(value, 0.0, 1.0).tolist() for field, value in values.items()}
+    return Material(name=name, **clipped)
+
+
+def _number(value: Any, default: float) -> float:
+    """The first number of a line of words, or of what trimesh made of it."""
+    return float((_numbers(value) or [default])[0])
+
+
+def _color(value: Any, default: tuple[float, float, float]) -> np.ndarray:
+    """Three numbers; one number counts three times."""
+    numbers = _numbers(value)
+    return np.asarray(numbers[:3] if len(numbers) >= 3 else numbers[:1] * 3 or default, dtype=np.float64)
+
+
+def _numbers(value: Any) -> list[float]:
+    """The finite numbers that a line gives; none if a word in it is not a number."""
+    try:
+        numbers = np.ravel(np.asarray([] if value is None else value, dtype=np.float64))
+    except (TypeError, ValueError):
+        return []
+    return numbers.tolist() if np.all(np.isfinite(numbers)) else []

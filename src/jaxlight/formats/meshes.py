@@ -1,0 +1,241 @@
+"""Mesh files (glb, obj + mtl, ply, stl) -> Shape nodes, read by trimesh from memory and the file's own folder only."""
+
+from __future__ import annotations
+
+import io
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from PIL import Image
+from trimesh.resolvers import Resolver
+from trimesh.visual.material import PBRMaterial
+
+from ..scene import nodes
+from .encodings import Format
+from .errors import SceneFileError
+from .folder import ResourceFolder
+from .gltf_header import numbered_materials
+from .images import pixels_of
+from .limits import read_bounded
+from .mesh_graph import nested_transforms
+from .mesh_materials import material_from_gltf, material_from_mtl, unlit_material_from_gltf
+from .notes import ReadNotes
+from .x3d_checks import check_indices
+from .x3d_textures import TextureReader
+
+CREASE_ANGLE = np.pi / 3
+"""Radians. Meshes without normals are smooth up to this angle between faces: curved surfaces are, boxes are not."""
+
+
+def read_mesh(path: Path, data: bytes, file_format: Format) -> tuple[tuple[nodes.Node, ...], ReadNotes]:
+    """The shapes of a mesh file, in the hierarchy that it has.
+
+    Raises:
+        SceneFileError: the file cannot be read, holds no triangles, or has indices or numbers out of range.
+    """
+    notes = ReadNotes()
+    materials: list[dict[str, Any]] = []
+    if file_format == "glb":
+        data, materials = numbered_materials(path, data, notes)
+    resolver = _FolderResolver(path, notes)
+    try:
+        logging.getLogger("trimesh").addFilter(_silent)
+        loaded = trimesh.load_scene(io.BytesIO(data), file_type=file_format, resolver=resolver, process=False)
+        builder = _MeshBuilder(path, notes, loaded, materials)
+        children = nested_transforms(str(loaded.graph.base_frame), loaded.graph.to_edgelist(), builder.shape)
+    except SceneFileError:
+        raise
+    except Exception as error:  # trimesh says in many ways that a file is damaged
+        raise SceneFileError(path, None, f"not a {file_format} file that can be read: {_sentence(error)}") from None
+    finally:
+        logging.getLogger("trimesh").removeFilter(_silent)
+    if not children:
+        raise SceneFileError(path, None, "holds no triangles")
+    return children, notes
+
+
+class _MeshBuilder:
+    """Makes one Shape a geometry of a trimesh scene; materials and textures that several use are one node."""
+
+    def __init__(self, path: Path, notes: ReadNotes, scene: Any, gltf_materials: list[dict[str, Any]]) -> None:
+        self._path = path
+        self._notes = notes
+        self._geometry = scene.geometry
+        self._gltf_materials = gltf_materials
+        self._textures = TextureReader(ResourceFolder(path))
+        self._shapes: dict[str, nodes.Shape | None] = {}
+        self._appearances: dict[int, tuple[nodes.Appearance, bool]] = {}
+        self._images: dict[int, nodes.ImageTexture | None] = {}
+
+    def shape(self, name: str) -> nodes.Shape | None:
+        """The Shape of the geometry with this name; None (and a note) for what has no triangles."""
+        if name not in self._shapes:
+            mesh: Any = self._geometry[name]
+            if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
+                appearance, solid = self._appearance(mesh)
+                geometry = _face_set(mesh, solid=solid)
+                self._shapes[name] = nodes.Shape(appearance=appearance, geometry=geometry, name=name)
+            else:
+                self._notes.skipped[f"{type(mesh).__name__} without triangles"] += 1
+                self._shapes[name] = None
+        return self._shapes[name]
+
+    def _appearance(self, mesh: Any) -> tuple[nodes.Appearance, bool]:
+        """The appearance, and whether only the front of the faces is to be seen (only glTF says so)."""
+        material = getattr(mesh.visual, "material", None) if mesh.visual.kind == "texture" else None
+        if material is None or _is_stand_in(material):
+            return nodes.Appearance(material=nodes.Material()), False
+        if id(material) not in self._appearances:
+            row = int(material.name or 0) if isinstance(material, PBRMaterial) else None
+            self._appearances[id(material)] = (
+                self._from_gltf(material, self._gltf_materials[row], mesh)
+                if row is not None
+                else (self._from_mtl(material), False)
+            )
+        return self._appearances[id(material)]
+
+    def _from_mtl(self, material: Any) -> nodes.Appearance:
+        for key in material.kwargs:
+            if key.startswith("map_") or key == "bump":
+                self._notes.unused[f"mtl {key}"] += 1
+        node = material_from_mtl(material.name, material.kwargs, material.glossiness)
+        return nodes.Appearance(material=node, texture=self._texture(material.image))
+
+    def _from_gltf(self, material: Any, description: dict[str, Any], mesh: Any) -> tuple[nodes.Appearance, bool]:
+        name = str(description.get("name", ""))
+        see_through = description.get("alphaMode", "OPAQUE") != "OPAQUE"
+        texture = self._texture(material.baseColorTexture, opaque=not see_through)
+        node: nodes.Material | None = material_from_gltf(name, description, see_through=see_through)
+        if "KHR_materials_unlit" in description.get("extensions", {}):
+            colored = texture is not None or "color" in mesh.visual.vertex_attributes
+            node = None if colored else unlit_material_from_gltf(name, description)
+        return nodes.Appearance(material=node, texture=texture), not description.get("doubleSided", False)
+
+    def _texture(self, image: Image.Image | None, *, opaque: bool = False) -> nodes.ImageTexture | None:
+        """The texture of an image that trimesh opened; None (and a note) if it cannot be decoded."""
+        if image is None:
+            return None
+        if id(image) not in self._images:
+            url = str(image.info.get("file_path", ""))
+            try:
+                pixels = self._textures.first([_file_of(url)])[0] if url else np.flipud(pixels_of(image, self._path))
+                pixels = pixels[:, :, : pixels.shape[2] - 1] if opaque and pixels.shape[2] in (2, 4) else pixels
+                self._images[id(image)] = nodes.ImageTexture(image=pixels, url=(url,) if url else ())
+            except Exception as error:  # Pillow says in many ways that an image is damaged
+                self._notes.missing.append(_sentence(error))
+                self._images[id(image)] = None
+        return self._images[id(image)]
+
+
+def _is_stand_in(material: Any) -> bool:
+    """True for the gray material that trimesh makes up for texture coordinates without one: no file is behind it."""
+    image = getattr(material, "image", None)
+    return image is not None and image.format is None
+
+
+def _face_set(mesh: Any, *, solid: bool) -> nodes.IndexedFaceSet:
+    """Triangles with shared positions: where a file repeats a vertex for the sake of texture or normal, one is kept."""
+    faces = np.asarray(mesh.faces, dtype=np.int64)
+    positions, position_of = _distinct_rows(np.asarray(mesh.vertices, dtype=np.float64))
+    repeated = len(positions) < len(position_of)
+    corners = _with_ends(faces)
+    options: dict[str, Any] = {}
+
+    def per_vertex(field: str, node: nodes.Node) -> None:
+        options[field] = node
+        if repeated:
+            options[f"{field}_index"] = corners
+
+    uv = getattr(mesh.visual, "uv", None)
+    if uv is not None and np.shape(uv) == (len(position_of), 2):
+        per_vertex("tex_coord", nodes.TextureCoordinate(point=np.asarray(uv, dtype=np.float64)))
+    if "vertex_normals" in mesh._cache:  # only there if the file had them
+        per_vertex("normal", nodes.Normal(vector=np.asarray(mesh.vertex_normals, dtype=np.float64)))
+    else:
+        options["crease_angle"] = CREASE_ANGLE
+    colors, on_faces = _colors(mesh)
+    if colors is not None and on_faces:
+        options |= {"color": colors, "color_per_vertex": False}
+    elif colors is not None:
+        per_vertex("color", colors)
+    geometry = nodes.IndexedFaceSet(
+        coord=nodes.Coordinate(point=positions),
+        coord_index=_with_ends(position_of[faces]) if repeated else corners,
+        solid=solid,
+        **options,
+    )
+    check_indices(geometry)
+    return geometry
+
+
+def _colors(mesh: Any) -> tuple[nodes.Color | nodes.ColorRGBA | None, bool]:
+    """The colours of vertices or faces, and whether they are of faces; RGB if all are opaque."""
+    kind = mesh.visual.kind
+    if kind in ("vertex", "face"):
+        colors = mesh.visual.vertex_colors if kind == "vertex" else mesh.visual.face_colors
+    elif kind == "texture" and len(mesh.visual.vertex_attributes.get("color", ())) == len(mesh.vertices):
+        colors = mesh.visual.vertex_attributes["color"]
+    else:
+        return None, False
+    colors = np.asarray(colors)
+    largest = np.iinfo(colors.dtype).max if np.issubdtype(colors.dtype, np.integer) else 1.0
+    values = np.clip(colors.astype(np.float64) / largest, 0.0, 1.0)
+    if values.shape[1] == 4 and not np.all(values[:, 3] == 1.0):
+        return nodes.ColorRGBA(color=values), kind == "face"
+    return nodes.Color(color=values[:, :3]), kind == "face"
+
+
+def _with_ends(triangles: np.ndarray) -> np.ndarray:
+    """Index triples [n, 3] as X3D writes faces: -1 after each."""
+    return np.hstack([triangles, np.full((len(triangles), 1), -1)]).ravel()
+
+
+def _distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The distinct rows in order of first appearance, and for each row which of them it is."""
+    distinct, first, inverse = np.unique(rows + 0.0, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    return distinct[order], rank[inverse.ravel()]
+
+
+class _FolderResolver(Resolver):
+    """Gives trimesh the files that a mesh names, from the mesh's folder only; what cannot be had is noted."""
+
+    def __init__(self, path: Path, notes: ReadNotes) -> None:
+        self._folder = ResourceFolder(path)
+        self._notes = notes
+
+    def get(self, name: str) -> bytes:
+        try:
+            return read_bounded(self._folder.find(_file_of(name)))
+        except ValueError as error:
+            self._notes.missing.append(str(error))
+            raise FileNotFoundError(str(error)) from None
+
+    def write(self, name: str, data: Any) -> None:
+        raise PermissionError("reading a mesh writes nothing")
+
+    def namespaced(self, namespace: str) -> _FolderResolver:
+        raise FileNotFoundError(namespace)
+
+    def keys(self) -> list[str]:
+        return []
+
+
+def _file_of(reference: str) -> str:
+    """The file name of an mtl reference, which may follow options such as `-s 1 1 1`."""
+    reference = reference.strip()
+    return reference.split()[-1] if reference.startswith("-") else reference
+
+
+def _silent(record: logging.LogRecord) -> bool:
+    return False
+
+
+def _sentence(error: Exception) -> str:
+    text = str(error).strip().partition("\n")[0]
+    return text[:200] if text else type(error).__name__

@@ -1,0 +1,95 @@
+"""Do the indices of a geometry fit the lists that they point into? (X3D 11.4 and 13.3.6)"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene import nodes
+
+
+def check_indices(geometry: nodes.Node) -> None:
+    """Check a geometry node; nodes of other kinds pass.
+
+    Raises:
+        ValueError: an index beyond the end of its list, or a list that is too short; says which field and numbers.
+    """
+    if isinstance(geometry, nodes.IndexedFaceSet):
+        _check_face_set(geometry)
+    elif isinstance(geometry, nodes.IndexedTriangleSet):
+        if np.any(geometry.index < 0):
+            raise ValueError(f"{geometry.label}.index: expected indices >= 0, got {geometry.index.min()}")
+        _check_triangles(geometry, geometry.index, len(geometry.index) // 3)
+    elif isinstance(geometry, nodes.TriangleSet):
+        corners = 0 if geometry.coord is None else len(geometry.coord.point)
+        _check_triangles(geometry, np.arange(corners), corners // 3)
+
+
+def _check_triangles(
+    geometry: nodes.IndexedTriangleSet | nodes.TriangleSet, corners: np.ndarray, triangles: int
+) -> None:
+    """Vertex data is taken by the same index as the coordinates, or one a triangle."""
+    for name, values, per_vertex in _lists(geometry):
+        if name == "coord":
+            _check_within(geometry, "index", corners, len(values), name)
+        elif per_vertex:
+            _check_within(geometry, "the vertices' index", corners, len(values), name)
+        else:
+            _check_enough(geometry, triangles, "triangles", len(values), name)
+
+
+def _check_face_set(geometry: nodes.IndexedFaceSet) -> None:
+    """Each list of vertex data has an index of its own; without one the coordinates' is used, or one a face."""
+    if geometry.coord is None:
+        return
+    corners = geometry.coord_index
+    ends = corners == -1
+    open_end = int(len(corners) > 0 and not ends[-1])
+    faces = int(np.count_nonzero(ends)) + open_end
+    for name, values, per_vertex in _lists(geometry):
+        if name == "coord":
+            _check_within(geometry, "coord_index", corners, len(values), name)
+            continue
+        field = f"{name}_index"
+        index = getattr(geometry, field)
+        if per_vertex:
+            own = len(index) > 0
+            _check_within(geometry, field if own else "coord_index", index if own else corners, len(values), name)
+            if own and not _same_faces(corners, index):
+                raise ValueError(f"{geometry.label}.{field}: expected -1 in the same places as in coord_index")
+        elif len(index) > 0:
+            if len(index) < faces or np.any(index[:faces] < 0):
+                raise ValueError(f"{geometry.label}.{field}: expected one index >= 0 for each of {faces} faces")
+            _check_within(geometry, field, index, len(values), name)
+        else:
+            _check_enough(geometry, faces, "faces", len(values), name)
+
+
+def _same_faces(corners: np.ndarray, index: np.ndarray) -> bool:
+    """True if the index ends its faces where `corners` does; the last -1 may be left out, more may follow."""
+    corners = corners[:-1] if len(corners) and corners[-1] == -1 else corners
+    return len(index) >= len(corners) and np.array_equal(index[: len(corners)] < 0, corners < 0)
+
+
+def _lists(geometry: nodes.Node) -> list[tuple[str, np.ndarray, bool]]:
+    """(field, values, one a vertex?) of the lists that a geometry has; an empty list counts as absent."""
+    found = []
+    for name, values_name, switch in (
+        ("coord", "point", None),
+        ("color", "color", "color_per_vertex"),
+        ("normal", "vector", "normal_per_vertex"),
+        ("tex_coord", "point", None),
+    ):
+        node = getattr(geometry, name)
+        if node is not None and (name == "coord" or len(getattr(node, values_name))):
+            found.append((name, getattr(node, values_name), switch is None or getattr(geometry, switch)))
+    return found
+
+
+def _check_within(geometry: nodes.Node, field: str, index: np.ndarray, length: int, name: str) -> None:
+    if len(index) and index.max() >= length:
+        raise ValueError(f"{geometry.label}.{field}: index {index.max()}, but {name} has {length} entries")
+
+
+def _check_enough(geometry: nodes.Node, needed: int, what: str, length: int, name: str) -> None:
+    if length < needed:
+        raise ValueError(f"{geometry.label}.{name}: {length} entries for {needed} {what}")

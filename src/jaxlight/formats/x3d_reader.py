@@ -1,0 +1,279 @@
+"""X3D in its XML encoding (ISO/IEC 19776-1) -> nodes.
+
+What jaxlight does not know is skipped and named. Elements are built from the inside out, in the order of the file and
+without recursion, so a USE finds exactly the DEFs that stand before it.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from ..scene import nodes
+from .errors import SceneFileError
+from .folder import ResourceFolder
+from .limits import MAX_NESTING
+from .notes import ReadNotes
+from .x3d_checks import check_indices
+from .x3d_fields import X3DField, fields_of, python_name, version_defaults
+from .x3d_groups import CHILD_HOLDERS, SIMPLIFIED, is_child_node, split_children
+from .x3d_source import X3DSource
+from .x3d_textures import TextureReader
+from .x3d_values import SFBool, parse_floats
+from .xml_elements import Element, parse_xml
+
+_GROUPS = (nodes.Group, nodes.Transform, nodes.Switch)
+_CHILD_KINDS = (
+    *_GROUPS, nodes.Shape, nodes.DirectionalLight, nodes.PointLight, nodes.SpotLight, nodes.Fog, nodes.Background,
+    nodes.Viewpoint, nodes.NavigationInfo,
+)  # fmt: skip
+_UNUSED_FIELDS = {
+    "Appearance": {"alphaCutoff", "alphaMode"},
+    "Background": {
+        "backUrl", "bottomUrl", "frontUrl", "groundAngle", "groundColor", "leftUrl", "rightUrl", "topUrl",
+        "transparency",
+    },
+}  # fmt: skip
+_MAX_DETOURS = 32
+"""How many skipped subtrees may lead into one another through USE."""
+
+
+def read_x3d(path: Path, data: bytes) -> tuple[tuple[nodes.Node, ...], ReadNotes, X3DSource]:
+    """The nodes of an X3D file's Scene.
+
+    Returns:
+        The scene's root nodes, what could not be taken as it stands, and what writing back needs.
+
+    Raises:
+        SceneFileError: malformed XML, a value or child node that a field does not take, an index out of range, a USE
+            without a DEF before it, nesting or size beyond the limits; with the line.
+    """
+    root = parse_xml(path, data)
+    if root.tag != "X3D":
+        raise SceneFileError(path, root.line, f"the root element is <{root.tag}>, expected <X3D>")
+    scene = next((child for child in root.children if child.tag == "Scene"), None)
+    if scene is None:
+        raise SceneFileError(path, root.line, "<X3D> holds no <Scene>")
+    reader = _Reader(path, _version(root.attributes.get("version", "")), _angle_unit(path, root))
+    children = reader.read_all(scene)
+    source = X3DSource(path.resolve(), data, reader.element_numbers, reader.texture_files, reader.angle_unit)
+    return children, reader.notes, source
+
+
+def _version(text: str) -> tuple[int, int]:
+    """(3, 2) of "3.2"; a file that does not say counts as the oldest."""
+    match = re.match(r"\s*(\d{1,4})\.(\d{1,4})", text)
+    return (int(match[1]), int(match[2])) if match else (0, 0)
+
+
+def _angle_unit(path: Path, root: Element) -> float:
+    """Radians in one angle unit of the file: 1, unless a `unit` statement says otherwise (X3D 4.3.6)."""
+    factor = 1.0
+    for unit in (unit for head in root.children if head.tag == "head" for unit in head.children):
+        if unit.tag == "unit" and unit.attributes.get("category") == "angle":
+            text = unit.attributes.get("conversionFactor", "")
+            try:
+                (factor,) = parse_floats(text).tolist()
+            except ValueError:
+                factor = 0.0
+            if not 0 < factor < float("inf"):
+                raise SceneFileError(path, unit.line, f"conversionFactor: expected a number > 0, got {text[:40]!r}")
+    return factor
+
+
+class _Reader:
+    """Builds the nodes of one file."""
+
+    def __init__(self, path: Path, version: tuple[int, int], angle_unit: float) -> None:
+        self.path = path
+        self.version = version
+        self.angle_unit = angle_unit
+        self.notes = ReadNotes()
+        self.element_numbers: dict[nodes.Node, int] = {}
+        self.texture_files: dict[nodes.Node, Path] = {}
+        self._textures = TextureReader(ResourceFolder(path))
+        self._defined: dict[str, nodes.Node | None] = {}
+        """By DEF name; None: a node that was skipped."""
+        self._set_aside: dict[str, Element] = {}
+        """Elements with a DEF inside skipped ones; read when a USE asks for them."""
+        self._depths: dict[nodes.Node, int] = {}
+        self._detours = 0
+
+    def read_all(self, scene: Element) -> tuple[nodes.Node, ...]:
+        """The children of the Scene element."""
+        made = [(child, self._read(child)) for child in scene.children]
+        group = self._node_fields(nodes.Group, scene, made)
+        return group.get("children", ())
+
+    def _read(self, top: Element) -> nodes.Node | None:
+        """The node of an element with all below it, or None if it was skipped."""
+        results: dict[Element, nodes.Node | None] = {}
+        stack = [(top, False)]
+        while stack:
+            element, children_are_made = stack.pop()
+            if children_are_made:
+                made = [(child, results.pop(child)) for child in split_children(element)[0]]
+                results[element] = self._make(element, made)
+            elif not _is_known(element):
+                self.notes.skipped[element.tag] += 1
+                self._put_aside(element)
+                results[element] = None
+            elif "USE" in element.attributes:
+                results[element] = self._use(element)
+            else:
+                chosen, left = split_children(element)
+                for child in left:
+                    self._put_aside(child)
+                stack.append((element, True))
+                stack.extend((child, False) for child in reversed(chosen))
+        return results[top]
+
+    def _put_aside(self, top: Element) -> None:
+        """Remember the DEFs of a subtree that is not read."""
+        stack = [top]
+        while stack:
+            element = stack.pop()
+            if name := element.attributes.get("DEF"):
+                self._set_aside[name] = element
+                self._defined.pop(name, None)
+            stack.extend(element.children)
+
+    def _use(self, element: Element) -> nodes.Node | None:
+        """The node that was DEFined with this name before."""
+        name = element.attributes["USE"]
+        if name in self._set_aside:
+            if self._detours >= _MAX_DETOURS:
+                raise self._error(element, f"USE='{name}': too many skipped nodes use one another")
+            self._detours += 1
+            original = self._set_aside.pop(name)
+            self._defined[name] = self._read(original) if _is_known(original) else None
+            self._detours -= 1
+        if name not in self._defined:
+            raise self._error(element, f"USE='{name}': no node before this one has DEF='{name}'")
+        node = self._defined[name]
+        if node is None:
+            self.notes.skipped[f"{element.tag} USE='{name}'"] += 1
+        return node
+
+    def _make(self, element: Element, made: list[tuple[Element, nodes.Node | None]]) -> nodes.Node:
+        """The node of an element whose children are made."""
+        kind = nodes.NODE_TYPES.get(element.tag, nodes.Group)
+        if element.tag in SIMPLIFIED:
+            self.notes.simplified[SIMPLIFIED[element.tag]] += 1
+        name = element.attributes.get("DEF", "")
+        label = f"{kind.__name__}[{name}]" if name else kind.__name__
+        values = {"name": name, **version_defaults(kind, self.version)}
+        for field, value in self._values(kind, element, label):
+            values[field.name] = value
+        texture_file = None
+        if kind is nodes.ImageTexture and values.get("url"):
+            values["image"], texture_file = self._image(element, values["url"])
+        try:
+            node = kind(**values, **self._node_fields(kind, element, made))
+            check_indices(node)
+        except SceneFileError:
+            raise
+        except ValueError as error:
+            raise self._error(element, str(error)) from None
+        self.element_numbers[node] = element.number
+        if texture_file is not None:
+            self.texture_files[node] = texture_file
+        self._note_depth(element, node, [child for _, child in made])
+        return self._define(element, node, name)
+
+    def _define(self, element: Element, node: nodes.Node, name: str) -> nodes.Node:
+        """Register the DEF; a node with visible='false' (X3D 4) becomes the choice that a Switch does not make."""
+        if isinstance(node, (*_GROUPS, nodes.Shape)) and "visible" in element.attributes:
+            try:
+                visible = SFBool.parse(element.attributes["visible"])
+            except ValueError as error:
+                raise self._error(element, f"{node.label}.visible: {error}") from None
+            if not visible:
+                self.notes.simplified["visible='false' (as a Switch that shows nothing)"] += 1
+                depth = self._depths[node]
+                node = nodes.Switch(children=(node,))
+                self._depths[node] = depth + 1
+        if name:
+            self._defined[name] = node
+            self._set_aside.pop(name, None)
+        return node
+
+    def _values(self, kind: type[nodes.Node], element: Element, label: str) -> list[tuple[X3DField, Any]]:
+        """The value fields that the element writes."""
+        fields = fields_of(kind)
+        found = []
+        for attribute, text in element.attributes.items():
+            field = fields.get(attribute) if element.tag == kind.__name__ else None
+            if field is None:
+                if attribute in _UNUSED_FIELDS.get(element.tag, ()):
+                    self.notes.unused[f"{element.tag}.{attribute}"] += 1
+                continue
+            try:
+                value = field.in_radians(field.type.parse(text), self.angle_unit)
+            except ValueError as error:
+                raise self._error(element, f"{label}.{attribute}: {error}") from None
+            value, was_clamped = field.clamped(value)
+            if was_clamped:
+                self.notes.clamped.append(f"{label}.{attribute} (line {element.line})")
+            found.append((field, value))
+        return found
+
+    def _node_fields(
+        self, kind: type[nodes.Node], parent: Element, made: list[tuple[Element, nodes.Node | None]]
+    ) -> dict[str, Any]:
+        """The node-valued fields of `kind` from the children of its element."""
+        fields: dict[str, Any] = {}
+        for element, node in made:
+            if node is None:
+                if kind is nodes.Switch and is_child_node(element):
+                    fields.setdefault("children", []).append(nodes.Group())  # keeps the count of which_choice
+                continue
+            name = self._field_for(kind, parent, element, node)
+            if name == "children":
+                fields.setdefault(name, []).append(node)
+            elif name in fields:
+                raise self._error(element, f"<{parent.tag}> takes one node as {name}, this is the second")
+            elif name is not None:
+                fields[name] = node
+        return {name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()}
+
+    def _field_for(self, kind: type[nodes.Node], parent: Element, element: Element, node: nodes.Node) -> str | None:
+        """The field of `kind` that a child node belongs to; None: one that jaxlight does not have."""
+        takes = [name for name, kinds in kind.accepts.items() if _accepted(node, kinds)]
+        holder = element.attributes.get("containerField", "").strip()
+        if holder in CHILD_HOLDERS:
+            holder = "children"
+        if holder:
+            name = python_name(kind, holder)
+            if name is None:
+                self.notes.skipped[f"{element.tag} as {parent.tag}.{holder}"] += 1
+                return None
+            takes = [name] if name in takes else []
+        if not takes:
+            raise self._error(element, f"a {type(node).__name__} cannot stand in <{parent.tag}>")
+        return takes[0]
+
+    def _image(self, element: Element, urls: tuple[str, ...]) -> tuple[Any, Path | None]:
+        try:
+            return self._textures.first(urls)
+        except ValueError as error:
+            self.notes.missing.append(f"{error} (line {element.line})")
+            return None, None
+
+    def _note_depth(self, element: Element, node: nodes.Node, children: list[nodes.Node | None]) -> None:
+        depth = 1 + max((self._depths.get(child, 0) for child in children if child is not None), default=0)
+        if depth > MAX_NESTING:
+            raise self._error(element, f"nodes nested deeper than {MAX_NESTING} through USE")
+        self._depths[node] = depth
+
+    def _error(self, element: Element, message: str) -> SceneFileError:
+        return SceneFileError(self.path, element.line, message)
+
+
+def _is_known(element: Element) -> bool:
+    return element.tag in nodes.NODE_TYPES or element.tag in SIMPLIFIED
+
+
+def _accepted(node: nodes.Node, kinds: tuple[str, ...]) -> bool:
+    return isinstance(node, _CHILD_KINDS) if "*" in kinds else type(node).__name__ in kinds
