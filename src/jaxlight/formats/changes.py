@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..scene import nodes
+from ..scene.flags import Flags
 from .x3d_values import float_text
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def _changed_rows(rows: tuple[Any, ...], group: Any) -> Iterator[tuple[nodes.Nod
     """(node, field, new value) of the rows of a struct of arrays that differ from their nodes."""
     headlight = getattr(group, "headlight", False)
     for field in _shared_fields(rows[0], group):
-        leaf = np.asarray(getattr(group, field))
+        leaf = _array(getattr(group, field))
         before = np.asarray([getattr(node, field) for node in rows])
         if leaf.shape != before.shape:
             raise ValueError(f"save: {type(rows[0]).__name__}.{field}: expected shape {before.shape}, got {leaf.shape}")
@@ -124,6 +125,10 @@ def _shared_fields(node: nodes.Node, group: Any) -> list[str]:
     return [field.name for field in dataclasses.fields(group) if field.name in own]
 
 
+def _array(leaf: Any) -> np.ndarray:
+    return leaf.array if isinstance(leaf, Flags) else np.asarray(leaf)
+
+
 def _agrees(leaf: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Where a leaf holds what the node says, as far as the leaf's precision goes."""
     return leaf == before.astype(leaf.dtype)
@@ -153,7 +158,7 @@ def _check_frames(scene: Scene) -> None:
     original = SceneClass.from_nodes(scene.document.children)
     for kind in ("directional", "point", "spot", "fog"):
         for name in ("to_world", "to_local", "in_scope"):
-            leaf, before = (np.asarray(getattr(getattr(each, kind), name, None)) for each in (scene, original))
+            leaf, before = (_array(getattr(getattr(each, kind), name, None)) for each in (scene, original))
             precision = min(leaf.dtype, before.dtype, key=lambda dtype: dtype.itemsize)
             if leaf.shape != before.shape or not np.array_equal(leaf.astype(precision), before.astype(precision)):
                 raise ValueError(

@@ -89,7 +89,7 @@ def _attributes(node: nodes.Node) -> dict[str, str]:
 
 
 def _equal(a: Any, b: Any) -> bool:
-    return np.array_equal(a, b) if isinstance(a, np.ndarray) and isinstance(b, np.ndarray) else a is b or a == b
+    return np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b
 
 
 def _def_names(roots: tuple[nodes.Node, ...]) -> dict[nodes.Node, str]:
