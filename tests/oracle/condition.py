@@ -13,7 +13,8 @@ full precision. An algorithm that is right for slightly wrong inputs has an erro
 
 **Well-conditioned**: condition at most 1000, and every jump at least 16 ulp away. The distance of a decision is
 |margin| / sum_i |d margin / dx_i| ulp(x_i): the number of ulps by which all inputs would have to conspire to turn it.
-(L + V is a sum of rounded unit vectors, so its length moves by one ulp of 1 besides.)
+(L + V is a sum of rounded unit vectors, so its length moves by one ulp of 1 besides. A vector written as zeros cannot
+move: its zero is no accident, and what follows from it is well-conditioned.)
 
 **Differentiable**: well-conditioned, and points without any derivative are 16 ulp away, too. At and near kinks every
 value within `exact.gradient_bounds` is right.
@@ -92,11 +93,13 @@ def gradient_condition(case: Case, precision: int = 32) -> dict[Path, tuple[floa
 
 
 def distance(decision: Decision, case: Case, exact: Exact, precision: int = 32) -> float:
-    """How many ulps the inputs are away from turning the decision; 0 at margin 0, even if no input can move."""
-    if decision.margin == 0:
-        return 0.0
-    reach = sum(slope * float(input_ulp(get(case, exact.inputs[i]), precision)) for i, slope in decision.slopes.items())
-    return float(abs(decision.margin) / reach) if reach else np.inf
+    """How many ulps the inputs are away from turning the decision; a jump that no input can reach is infinitely far."""
+    ulps = ((slope, input_ulp(get(case, exact.inputs[i]), precision)) for i, slope in decision.slopes.items())
+    reach = sum(slope * float(ulp) for slope, ulp in ulps)
+    reach += float(input_ulp(1.0, precision)) if decision.rounding else 0.0
+    if reach == 0:
+        return 0.0 if decision.margin == 0 and decision.kind != "jump" else np.inf
+    return float(abs(decision.margin) / reach)
 
 
 def _condition(moved: Any, value: Any, precision: int) -> float:

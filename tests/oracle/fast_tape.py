@@ -86,7 +86,8 @@ class FastTape:
         if rounding:
             reach = reach + self.ulp_of_one
         with np.errstate(all="ignore"):
-            distance = np.where(margin == 0, 0, np.where(reach > 0, np.abs(margin) / reach, np.inf))
+            unreachable = np.inf if kind == "jump" else np.where(margin == 0, 0, np.inf)
+            distance = np.where(reach > 0, np.abs(margin) / reach, unreachable)
         distance = np.where(where & self.active, distance, np.inf).astype(np.float64)
         self.distances[kind] = np.minimum(self.distances[kind], distance)
         if kind == "kink":
@@ -103,7 +104,9 @@ class FastTape:
         zero = square.value <= WIDE(tiny) ** 2
         safe = np.where(zero, ONE, square.value)
         root = np.sqrt(safe)
-        self.decide(kind, np.where(zero, 0, root), self.length_slopes(vector), where=where, rounding=rounding)
+        slopes = self.length_slopes(vector)
+        self.decide(kind, np.where(zero, 0, root), slopes, where=where, rounding=rounding)
+        self.decide("cone", np.where(zero, 0, root), slopes, where=where & zero)
         nonzero = square.chain(root, 1 / (2 * root), -1 / (4 * safe * root))
         return select(zero, self.constant(0), nonzero)
 

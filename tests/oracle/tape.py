@@ -82,6 +82,7 @@ class Tape:
         slopes = length_slopes(vector)
         self.decide(name, kind, root, slopes, rounding=rounding)
         if root == 0:
+            self.decide(f"{name} is zero", "cone", root, slopes)
             self.singular.update(slopes)
             return None
         return square.chain(root, 1 / (2 * root), -1 / (4 * square.value * root))
