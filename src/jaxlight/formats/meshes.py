@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import logging
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -42,16 +45,14 @@ def read_mesh(path: Path, data: bytes, file_format: Format) -> tuple[tuple[nodes
         data, materials = numbered_materials(path, data, notes)
     resolver = _FolderResolver(path, notes)
     try:
-        logging.getLogger("trimesh").addFilter(_silent)
-        loaded = trimesh.load_scene(io.BytesIO(data), file_type=file_format, resolver=resolver, process=False)
-        builder = _MeshBuilder(path, notes, loaded, materials)
-        children = nested_transforms(str(loaded.graph.base_frame), loaded.graph.to_edgelist(), builder.shape)
+        with _heard(notes):
+            loaded = trimesh.load_scene(io.BytesIO(data), file_type=file_format, resolver=resolver, process=False)
+            builder = _MeshBuilder(path, notes, loaded, materials)
+            children = nested_transforms(str(loaded.graph.base_frame), loaded.graph.to_edgelist(), builder.shape)
     except SceneFileError:
         raise
     except Exception as error:  # trimesh says in many ways that a file is damaged
         raise SceneFileError(path, None, f"not a {file_format} file that can be read: {_sentence(error)}") from None
-    finally:
-        logging.getLogger("trimesh").removeFilter(_silent)
     if not children:
         raise SceneFileError(path, None, "holds no triangles")
     return children, notes
@@ -232,8 +233,21 @@ def _file_of(reference: str) -> str:
     return reference.split()[-1] if reference.startswith("-") else reference
 
 
-def _silent(record: logging.LogRecord) -> bool:
-    return False
+@contextlib.contextmanager
+def _heard(notes: ReadNotes) -> Iterator[None]:
+    """What trimesh and NumPy say about a file while they read it becomes part of the one warning about the file."""
+    logger = logging.getLogger("trimesh")
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = lambda record: notes.remarks.append(record.getMessage().partition("\n")[0])  # type: ignore[method-assign]
+    propagated, logger.propagate = logger.propagate, False
+    logger.addHandler(handler)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.removeHandler(handler)
+        logger.propagate = propagated
 
 
 def _sentence(error: Exception) -> str:

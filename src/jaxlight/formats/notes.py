@@ -25,6 +25,8 @@ class ReadNotes:
     """Fields that change the picture elsewhere and that jaxlight does not have, by name."""
     clamped: list[str] = dataclasses.field(default_factory=list)
     """Values that were out of range, as `Material[a].diffuse_color (line 7)`."""
+    remarks: list[str] = dataclasses.field(default_factory=list)
+    """What the library that read the file said about it."""
     missing: list[str] = dataclasses.field(default_factory=list)
     """Textures and other files that could not be had, and why."""
 
@@ -45,6 +47,8 @@ class ReadNotes:
         if self.missing:
             count = "1 file" if len(self.missing) == 1 else f"{len(self.missing)} files"
             found.append(f"{count} not used: {_listed(self.missing)}")
+        if self.remarks:
+            found.append(f"remarks: {_listed(self.remarks)}")
         return found
 
     def warn(self, path: Path, stacklevel: int) -> None:

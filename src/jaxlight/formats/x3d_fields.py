@@ -81,15 +81,12 @@ class X3DField:
             return (0.0, 0.0, 1.0, 0.0), True
         if self.low == -math.inf and self.high == math.inf:
             return value, False
-        array = np.asarray(value, dtype=np.float64)
-        inside = np.clip(array, self.low, self.high)
-        if np.array_equal(inside, array):
-            return value, False
-        return (inside if isinstance(value, np.ndarray) else _as_tuple(inside)), True
-
-
-def _as_tuple(array: np.ndarray) -> Any:
-    return tuple(array.tolist()) if array.ndim else float(array)
+        if isinstance(value, np.ndarray):
+            inside: Any = np.clip(value, self.low, self.high)
+            return inside, not np.array_equal(inside, value)
+        numbers = value if isinstance(value, tuple) else (value,)
+        inside = tuple([min(max(number, self.low), self.high) for number in numbers])
+        return (inside if isinstance(value, tuple) else inside[0]), inside != numbers
 
 
 @functools.cache

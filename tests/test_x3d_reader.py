@@ -1,0 +1,557 @@
+"""X3D files -> nodes: every node and field, DEF and USE, defaults of the versions, what is skipped and how it is said."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from x3d_text import only_node, read_text, x3d
+
+from jaxlight import Scene, SceneFileError, SceneFileWarning, load
+from jaxlight.formats import read_nodes
+from jaxlight.scene import nodes as n
+from jaxlight.scene.nodes import nodes_equal
+
+TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+POINTS = "<Coordinate point='0 0 0, 1 0 0, 0 1 0'/>"
+
+NODES = [
+    ("<Group/>", n.Group()),
+    (
+        "<Transform DEF='t' translation='1 2 3' rotation='0 1 0 0.5' scale='1 2 -1' center='1 0 0'"
+        " scaleOrientation='1 0 0 0.25'><Group/></Transform>",
+        n.Transform(
+            name="t",
+            translation=(1, 2, 3),
+            rotation=(0, 1, 0, 0.5),
+            scale=(1, 2, -1),
+            center=(1, 0, 0),
+            scale_orientation=(1, 0, 0, 0.25),
+            children=(n.Group(),),
+        ),
+    ),
+    ("<Switch whichChoice='1'><Group/><Group/></Switch>", n.Switch(which_choice=1, children=(n.Group(), n.Group()))),
+    ("<Shape><Box size='1 2 3' solid='false'/></Shape>", n.Shape(geometry=n.Box(size=(1, 2, 3), solid=False))),
+    (
+        "<Shape><Cone bottomRadius='2' height='3' side='false' bottom='false'/></Shape>",
+        n.Shape(geometry=n.Cone(bottom_radius=2, height=3, side=False, bottom=False)),
+    ),
+    (
+        "<Shape><Cylinder radius='2' height='3' side='false' bottom='false' top='false'/></Shape>",
+        n.Shape(geometry=n.Cylinder(radius=2, height=3, side=False, bottom=False, top=False)),
+    ),
+    ("<Shape><Sphere radius='.5'/></Shape>", n.Shape(geometry=n.Sphere(radius=0.5))),
+    (
+        "<Shape><Appearance><Material ambientIntensity='.1' diffuseColor='.1 .2 .3' emissiveColor='.4 .5 .6'"
+        " shininess='.7' specularColor='.8 .9 1' transparency='.25'/></Appearance></Shape>",
+        n.Shape(
+            appearance=n.Appearance(
+                material=n.Material(
+                    ambient_intensity=0.1,
+                    diffuse_color=(0.1, 0.2, 0.3),
+                    emissive_color=(0.4, 0.5, 0.6),
+                    shininess=0.7,
+                    specular_color=(0.8, 0.9, 1),
+                    transparency=0.25,
+                )
+            )
+        ),
+    ),
+    (
+        "<Shape><Appearance><PixelTexture image='1 2 1 0 255' repeatS='false' repeatT='FALSE'/>"
+        "<TextureTransform center='1 2' rotation='3' scale='4 5' translation='6 7'/></Appearance></Shape>",
+        n.Shape(
+            appearance=n.Appearance(
+                texture=n.PixelTexture(image=np.array([[[0.0]], [[1.0]]]), repeat_s=False, repeat_t=False),
+                texture_transform=n.TextureTransform(center=(1, 2), rotation=3, scale=(4, 5), translation=(6, 7)),
+            )
+        ),
+    ),
+    (
+        "<Shape><IndexedFaceSet ccw='false' solid='false' convex='false' creaseAngle='0.5' coordIndex='0 1 2 -1'"
+        " colorPerVertex='false' colorIndex='1' normalPerVertex='true' normalIndex='0 0 0 -1' texCoordIndex='2 1 0'>"
+        f"{POINTS}<Color color='1 0 0, 0 1 0'/><Normal vector='0 0 1'/><TextureCoordinate point='0 0 1 0 0 1'/>"
+        "</IndexedFaceSet></Shape>",
+        n.Shape(
+            geometry=n.IndexedFaceSet(
+                ccw=False,
+                solid=False,
+                convex=False,
+                crease_angle=0.5,
+                coord_index=[0, 1, 2, -1],
+                color_per_vertex=False,
+                color_index=[1],
+                normal_index=[0, 0, 0, -1],
+                tex_coord_index=[2, 1, 0],
+                coord=n.Coordinate(point=TRIANGLE),
+                color=n.Color(color=[[1, 0, 0], [0, 1, 0]]),
+                normal=n.Normal(vector=[[0, 0, 1]]),
+                tex_coord=n.TextureCoordinate(point=[[0, 0], [1, 0], [0, 1]]),
+            )
+        ),
+    ),
+    (
+        f"<Shape><IndexedTriangleSet index='2 1 0' solid='false' ccw='false' normalPerVertex='false'>{POINTS}"
+        "<ColorRGBA color='1 0 0 1, 0 1 0 .5, 0 0 1 0'/><Normal vector='0 0 1'/></IndexedTriangleSet></Shape>",
+        n.Shape(
+            geometry=n.IndexedTriangleSet(
+                index=[2, 1, 0],
+                solid=False,
+                ccw=False,
+                normal_per_vertex=False,
+                coord=n.Coordinate(point=TRIANGLE),
+                color=n.ColorRGBA(color=[[1, 0, 0, 1], [0, 1, 0, 0.5], [0, 0, 1, 0]]),
+                normal=n.Normal(vector=[[0, 0, 1]]),
+            )
+        ),
+    ),
+    (
+        f"<Shape><TriangleSet colorPerVertex='false'>{POINTS}<Color color='1 1 0'/></TriangleSet></Shape>",
+        n.Shape(
+            geometry=n.TriangleSet(
+                color_per_vertex=False, coord=n.Coordinate(point=TRIANGLE), color=n.Color(color=[[1, 1, 0]])
+            )
+        ),
+    ),
+    (
+        "<DirectionalLight ambientIntensity='.1' color='1 .5 0' direction='1 2 3' global='true' intensity='2'"
+        " on='false'/>",
+        n.DirectionalLight(
+            ambient_intensity=0.1, color=(1, 0.5, 0), direction=(1, 2, 3), global_=True, intensity=2, on=False
+        ),
+    ),
+    (
+        "<PointLight DEF='key' attenuation='1 2 3' global='false' location='1 2 3' radius='7'/>",
+        n.PointLight(name="key", attenuation=(1, 2, 3), global_=False, location=(1, 2, 3), radius=7),
+    ),
+    (
+        "<SpotLight attenuation='0 0 1' beamWidth='.3' cutOffAngle='.6' direction='0 1 0' location='1 2 3' radius='9'/>",
+        n.SpotLight(
+            attenuation=(0, 0, 1), beam_width=0.3, cut_off_angle=0.6, direction=(0, 1, 0), location=(1, 2, 3), radius=9
+        ),
+    ),
+    (
+        "<Fog color='.5 .6 .7' fogType='EXPONENTIAL' visibilityRange='12'/>",
+        n.Fog(color=(0.5, 0.6, 0.7), fog_type="EXPONENTIAL", visibility_range=12),
+    ),
+    (
+        "<Background skyAngle='0.5 1' skyColor='0 0 0, 1 1 1, .5 .5 .5'/>",
+        n.Background(sky_angle=(0.5, 1), sky_color=[[0, 0, 0], [1, 1, 1], [0.5, 0.5, 0.5]]),
+    ),
+    (
+        "<Viewpoint description='front' fieldOfView='1' orientation='0 1 0 2' position='1 2 3'/>",
+        n.Viewpoint(description="front", field_of_view=1, orientation=(0, 1, 0, 2), position=(1, 2, 3)),
+    ),
+    ("<NavigationInfo headlight='false' type='\"EXAMINE\"'/>", n.NavigationInfo(headlight=False)),
+]
+
+
+@pytest.mark.parametrize(("text", "expected"), NODES, ids=[type(node).__name__ for _, node in NODES])
+def test_a_file_written_by_hand_gives_the_nodes_built_in_python(tmp_path: Path, text: str, expected: n.Node) -> None:
+    assert nodes_equal(only_node(tmp_path, text), expected)
+
+
+def test_every_node_class_stands_in_a_file_above() -> None:
+    text = " ".join(text for text, _ in NODES)
+    assert {kind for kind in n.NODE_TYPES if f"<{kind}" not in text} == {"ImageTexture"}  # it has tests of its own
+
+
+def test_use_is_the_same_object(tmp_path: Path) -> None:
+    a, b = read_text(
+        tmp_path,
+        "<Shape DEF='s'><Appearance DEF='a'><Material DEF='m'/></Appearance></Shape>"
+        "<Group><Shape USE='s'/><Shape><Appearance USE='a'/></Shape><Shape><Appearance><Material USE='m'/></Appearance>"
+        "</Shape></Group>",
+    ).children
+    assert isinstance(a, n.Shape) and isinstance(b, n.Group)
+    again, same_appearance, same_material = b.children
+    assert again is a
+    assert same_appearance.appearance is a.appearance  # type: ignore[attr-defined]
+    assert same_material.appearance.material is a.appearance.material  # type: ignore[attr-defined, union-attr]
+
+
+def test_the_latest_def_of_a_name_counts(tmp_path: Path) -> None:
+    *_, last = read_text(tmp_path, "<Fog DEF='f'/><Group DEF='f'/><Group USE='f'/>").children
+    assert isinstance(last, n.Group)
+
+
+SPOT_ANGLES = [
+    (None, math.pi / 2, math.pi / 4),
+    ("3.0", math.pi / 2, math.pi / 4),
+    ("3.2", math.pi / 2, math.pi / 4),
+    ("3.3", math.pi / 4, math.pi / 2),
+    ("4.0", 3 * math.pi / 16, math.pi / 2),
+    ("4.1", 3 * math.pi / 16, math.pi / 2),
+]
+
+
+@pytest.mark.parametrize(("version", "beam_width", "cut_off_angle"), SPOT_ANGLES)
+def test_spot_light_defaults_follow_the_version(
+    tmp_path: Path, version: str | None, beam_width: float, cut_off_angle: float
+) -> None:
+    light = only_node(tmp_path, "<SpotLight/>", version)
+    assert isinstance(light, n.SpotLight)
+    assert (light.beam_width, light.cut_off_angle) == (beam_width, cut_off_angle)
+    written = only_node(tmp_path, "<SpotLight beamWidth='0.25' cutOffAngle='0.5'/>", version)
+    assert (written.beam_width, written.cut_off_angle) == (0.25, 0.5)  # type: ignore[attr-defined]
+
+
+def test_angles_are_read_in_the_files_unit(tmp_path: Path) -> None:
+    head = f"<head><unit category='angle' name='degree' conversionFactor='{math.pi / 180!r}'/></head>"
+    light = only_node(tmp_path, "<SpotLight beamWidth='30' cutOffAngle='60'/>", head=head)
+    assert (light.beam_width, light.cut_off_angle) == pytest.approx((math.pi / 6, math.pi / 3))  # type: ignore[attr-defined]
+    turned = only_node(tmp_path, "<Transform rotation='0 0 1 90' scaleOrientation='1 0 0 180'/>", head=head)
+    assert turned.rotation == pytest.approx((0, 0, 1, math.pi / 2))  # type: ignore[attr-defined]
+    assert turned.scale_orientation == pytest.approx((1, 0, 0, math.pi))  # type: ignore[attr-defined]
+    sky = only_node(tmp_path, "<Background skyAngle='45 90' skyColor='0 0 0 0 0 0 0 0 0'/>", head=head)
+    assert sky.sky_angle == pytest.approx((math.pi / 4, math.pi / 2))  # type: ignore[attr-defined]
+    moved = only_node(tmp_path, "<Transform translation='1 2 3' scale='4 5 6'/>", head=head)
+    assert (moved.translation, moved.scale) == ((1, 2, 3), (4, 5, 6))  # type: ignore[attr-defined]
+
+
+def test_container_fields_say_where_a_child_belongs(tmp_path: Path) -> None:
+    appearance = "<Appearance containerField='appearance'><Material containerField='material'/></Appearance>"
+    node = only_node(tmp_path, f"<Shape containerField='children'>{appearance}</Shape>")
+    assert nodes_equal(node, n.Shape(appearance=n.Appearance(material=n.Material())))
+
+
+def test_namespaces_do_not_matter(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text("<x:X3D xmlns:x='http://x'><x:Scene><x:Fog visibilityRange='5'/></x:Scene></x:X3D>")
+    assert nodes_equal(read_nodes(path).children, (n.Fog(visibility_range=5),))
+
+
+def one_warning(path: Path) -> str:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load(path)
+    assert [warning.category for warning in caught] == [SceneFileWarning]
+    assert caught[0].filename == __file__
+    return str(caught[0].message)
+
+
+def test_one_warning_counts_and_names_what_is_skipped(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(
+        x3d(
+            "<ProtoDeclare name='P'><ProtoBody><Group><TimeSensor/></Group></ProtoBody></ProtoDeclare>"
+            "<TimeSensor/><TimeSensor/><Script><field name='x'/></Script><Inline url='x.x3d'/>"
+            "<Shape><Text/><MetadataString/></Shape><ROUTE fromNode='a'/>"
+            "<Shape><Appearance><Material><ImageTexture containerField='diffuseTexture'/></Material></Appearance></Shape>"
+        )
+    )
+    text = one_warning(path)
+    assert "skipped 9 nodes that jaxlight does not know: TimeSensor x2," in text
+    for name in ("ProtoDeclare", "Script", "Inline", "Text", "MetadataString", "ROUTE"):
+        assert f"{name} x1" in text
+    assert "ImageTexture as Material.diffuseTexture x1" in text
+    assert str(path) in text
+
+
+def test_groups_that_are_simplified_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(
+        x3d(
+            "<Anchor><Fog visibilityRange='1'/></Anchor><Billboard/><Collision><Shape containerField='proxy'/><Group/></Collision>"
+            "<LOD><MetadataSet/><Group DEF='near'/><Group DEF='far'/></LOD><Group USE='far'/><StaticGroup/>"
+            "<LayerSet activeLayer='2'><Layer><Fog/></Layer><Layer><Viewpoint/></Layer></LayerSet>"
+        )
+    )
+    text = one_warning(path)
+    for words in ("Anchor (as Group) x1", "LOD (its first level) x1", "LayerSet (its active layer) x1"):
+        assert words in text
+    assert "Shape as Collision.proxy x1" in text
+    near, far, fog = n.Group(name="near"), n.Group(name="far"), n.Fog(visibility_range=1)
+    layers = n.Group(children=(n.Group(children=(n.Viewpoint(),)),))
+    expected = (
+        *(n.Group(children=(fog,)), n.Group(), n.Group(children=(n.Group(),)), n.Group(children=(near,))),
+        *(far, n.Group(), layers),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert nodes_equal(read_nodes(path).children, expected)
+
+
+def test_a_switch_keeps_its_count_over_children_that_are_skipped(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(x3d("<Switch whichChoice='1'><MetadataSet/><Text/><Shape DEF='right'/><Shape/></Switch>"))
+    with pytest.warns(SceneFileWarning):
+        scene = load(path)
+    assert [placed.node.name for placed in scene.document.shapes] == ["right"]
+
+
+def test_invisible_nodes_are_not_placed_but_can_be_used(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(
+        x3d(
+            "<Shape DEF='a' visible='false'/><Group visible='FALSE'><Shape/><PointLight/></Group>"
+            "<Transform visible='true'><Shape DEF='b'><Appearance DEF='look'/></Shape></Transform>",
+            "4.0",
+        )
+    )
+    with pytest.warns(SceneFileWarning, match="visible='false'.* x2"):
+        scene = load(path)
+    assert [placed.node.name for placed in scene.document.shapes] == ["b"]
+    assert scene.point is None
+
+
+def test_use_of_a_node_inside_a_skipped_one(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(
+        x3d(
+            "<Shape><IndexedLineSet DEF='lines'><Coordinate DEF='points' point='0 0 0 1 0 0 0 1 0'/></IndexedLineSet></Shape>"
+            "<Shape><IndexedLineSet USE='lines'/></Shape><Shape><TriangleSet><Coordinate USE='points'/></TriangleSet></Shape>"
+            "<Group USE='lines'/>"
+        )
+    )
+    with pytest.warns(SceneFileWarning, match="Group USE='lines' x1"):
+        *_, last = read_nodes(path).children
+    assert nodes_equal(last, n.Shape(geometry=n.TriangleSet(coord=n.Coordinate(point=TRIANGLE, name="points"))))
+
+
+CLAMPED = [
+    ("<Fog color='1.0000001 -0.5 0.5'/>", n.Fog(color=(1, 0, 0.5)), r"Fog.color \(line 3\)"),
+    ("<PointLight DEF='p' ambientIntensity='2'/>", n.PointLight(name="p", ambient_intensity=1), r"PointLight\[p\]"),
+    ("<PointLight intensity='-1' radius='-1'/>", n.PointLight(intensity=0, radius=0), "2 values"),
+    (
+        "<SpotLight beamWidth='0' cutOffAngle='3'/>",
+        n.SpotLight(beam_width=1e-6, cut_off_angle=math.pi / 2),
+        "SpotLight.beamWidth",
+    ),
+    ("<Transform rotation='0 0 0 1'/>", n.Transform(), "Transform.rotation"),
+    (
+        f"<Shape><TriangleSet>{POINTS}<Color color='2 0 0 0 1 0 0 0 1'/></TriangleSet></Shape>",
+        n.Shape(
+            geometry=n.TriangleSet(
+                coord=n.Coordinate(point=TRIANGLE), color=n.Color(color=[[1, 0, 0], [0, 1, 0], [0, 0, 1]])
+            )
+        ),
+        "Color.color",
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "expected", "said"), CLAMPED)
+def test_values_out_of_range_are_clamped_and_said(tmp_path: Path, text: str, expected: n.Node, said: str) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(x3d(text))
+    with pytest.warns(SceneFileWarning, match=f"clamped .*{said}"):
+        assert nodes_equal(read_nodes(path).children, (expected,))
+
+
+def test_a_rounded_right_angle_and_an_intensity_above_one_are_in_range(tmp_path: Path) -> None:
+    light = only_node(tmp_path, "<SpotLight intensity='3' cutOffAngle='1.5708' beamWidth='1.570796'/>")
+    assert nodes_equal(light, n.SpotLight(intensity=3, cut_off_angle=math.pi / 2, beam_width=1.570796))
+
+
+ERRORS = [
+    ("<Material", "malformed XML"),
+    ("<Group>\n</Transform>", "malformed XML"),
+    ("<Transform translation='1 2'/>", "Transform.translation: expected 3 numbers, got 2"),
+    ("<Transform DEF='a' translation='1 2 x'/>", r"Transform\[a\].translation: 'x' is not a number"),
+    ("<PointLight intensity='nan'/>", "'nan' is not a number"),
+    ("<PointLight location='0 0 1e999'/>", "PointLight.location: expected 3 finite numbers"),
+    ("<Shape><Sphere radius='-1'/></Shape>", "Sphere.radius: expected a finite number > 0"),
+    ("<Fog fogType='CUBIC'/>", "Fog.fog_type: expected 'LINEAR' or 'EXPONENTIAL'"),
+    ("<Shape><Appearance><Box/></Appearance></Shape>", "a Box cannot stand in <Appearance>"),
+    ("<Group><Material/></Group>", "a Material cannot stand in <Group>"),
+    ("<Box/>", "a Box cannot stand in <Scene>"),
+    ("<Shape><Box/><Sphere/></Shape>", "takes one node as geometry, this is the second"),
+    ("<Shape><Box containerField='appearance'/></Shape>", "a Box cannot stand in <Shape>"),
+    ("<Group USE='nobody'/>", "no node before this one has DEF='nobody'"),
+    ("<Group USE='later'/><Group DEF='later'/>", "no node before this one has DEF='later'"),
+    ("<Group DEF='a'><Group USE='a'/></Group>", "no node before this one has DEF='a'"),
+    (f"<Shape><IndexedFaceSet coordIndex='0 1 3 -1'>{POINTS}</IndexedFaceSet></Shape>", "index 3, but coord has 3"),
+    (f"<Shape><IndexedFaceSet coordIndex='0 1 -2'>{POINTS}</IndexedFaceSet></Shape>", "integers >= -1"),
+    (
+        f"<Shape><IndexedFaceSet coordIndex='0 1 2 -1' normalIndex='0 1'>{POINTS}<Normal vector='0 0 1 0 0 1'/>"
+        "</IndexedFaceSet></Shape>",
+        "normal_index: expected -1 in the same places",
+    ),
+    (
+        f"<Shape><IndexedFaceSet coordIndex='0 1 2 -1 2 1 0' colorPerVertex='false'>{POINTS}<Color color='1 0 0'/>"
+        "</IndexedFaceSet></Shape>",
+        "color: 1 entries for 2 faces",
+    ),
+    (f"<Shape><IndexedTriangleSet index='0 -1 1'>{POINTS}</IndexedTriangleSet></Shape>", "indices >= 0, got -1"),
+    (f"<Shape><IndexedTriangleSet index='0 1 5'>{POINTS}</IndexedTriangleSet></Shape>", "index 5, but coord has 3"),
+    (f"<Shape><TriangleSet>{POINTS}<Color color='1 0 0'/></TriangleSet></Shape>", "but color has 1 entries"),
+    ("<Shape><Appearance><PixelTexture image='1 1 3'/></Appearance></Shape>", "1 x 1 pixels announced, 0 given"),
+    ("<Group visible='maybe'/>", "Group.visible: expected true or false"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), ERRORS)
+def test_errors_name_file_line_and_cause(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(x3d("\n\n" + text))
+    with pytest.raises(SceneFileError, match=message) as caught:
+        load(path)
+    assert caught.value.line is not None and caught.value.line >= 5
+    assert str(caught.value).startswith(f"{path}:{caught.value.line}: ")
+    assert isinstance(caught.value, ValueError)
+
+
+def test_a_singular_transform_is_an_error_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(x3d("<Transform DEF='flat' scale='1e-20 1e-20 1e-20'/>"))
+    with pytest.raises(SceneFileError, match=r"Transform\[flat\]: its matrix cannot be inverted"):
+        load(path)
+
+
+ENTITY_BOMB = "<!DOCTYPE X3D [<!ENTITY a 'aaaaaaaaaa'><!ENTITY b '&a;&a;&a;&a;&a;&a;'>]>\n<X3D><Scene DEF='&b;'/></X3D>"
+EXTERNAL_ENTITY = "<!DOCTYPE X3D [<!ENTITY a SYSTEM 'file:///etc/passwd'>]>\n<X3D><Scene DEF='&a;'/></X3D>"
+
+
+@pytest.mark.parametrize("text", [ENTITY_BOMB, EXTERNAL_ENTITY])
+def test_entities_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(text)
+    with pytest.raises(SceneFileError, match=":1: entities are not read"):
+        load(path)
+
+
+def test_a_document_type_is_not_fetched(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text('<!DOCTYPE X3D PUBLIC "ISO//Web3D//DTD X3D 3.3//EN" "http://127.0.0.1:9/x.dtd">\n<X3D><Scene/></X3D>')
+    assert load(path).document.shapes == ()
+
+
+@pytest.mark.parametrize("text", ["<html/>", "<X3D/>", "<X3D><Group/></X3D>"])
+def test_other_documents_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(text)
+    with pytest.raises(SceneFileError, match=r"root element|no <Scene>|HTML page"):
+        load(path)
+
+
+def nested(depth: int) -> str:
+    """A document whose elements are nested `depth` deep."""
+    groups = depth - 3
+    return x3d("<Group>" * groups + "<Shape/>" + "</Group>" * groups)
+
+
+def test_nesting_up_to_400_is_read_and_deeper_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "deep.x3d"
+    path.write_text(nested(400))
+    assert len(load(path).document.shapes) == 1
+    path.write_text(nested(401))
+    with pytest.raises(SceneFileError, match="nested deeper than 400"):
+        load(path)
+    path.write_text(x3d("<Group>" * 100_000 + "</Group>" * 100_000))
+    with pytest.raises(SceneFileError, match="nested deeper than 400"):
+        load(path)
+
+
+def test_nesting_through_use_is_limited(tmp_path: Path) -> None:
+    path = tmp_path / "chain.x3d"
+    chain = "".join(f"<Switch DEF='g{i}'><Group USE='g{i - 1}'/></Switch>" for i in range(1, 1000))
+    path.write_text(x3d("<Switch DEF='g0'/>" + chain))
+    with pytest.raises(SceneFileError, match="nested deeper than 400 through USE"):
+        load(path)
+    skipped = "".join(f"<Text><Group DEF='g{i}'><Group USE='g{i + 1}'/></Group></Text>" for i in range(1000))
+    path.write_text(x3d(skipped + "<Group USE='g0'/>"))
+    with pytest.raises(SceneFileError, match="too many skipped nodes use one another"):
+        load(path)
+
+
+def test_doubling_through_use_is_limited(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.x3d"
+    doubling = "".join(f"<Group DEF='g{i}'><Group USE='g{i - 1}'/><Group USE='g{i - 1}'/></Group>" for i in range(1, 60))
+    path.write_text(x3d("<Group DEF='g0'><Shape/></Group>" + doubling))
+    with pytest.raises(SceneFileError, match="more than 1000000 placed nodes"):
+        load(path)
+
+
+def test_a_file_beyond_the_size_limit_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(x3d("<Group/>" * 1000))
+    monkeypatch.setattr("jaxlight.formats.limits.MAX_FILE_BYTES", 1000)
+    with pytest.raises(SceneFileError, match="larger than"):
+        load(path)
+    monkeypatch.undo()
+    monkeypatch.setattr("jaxlight.formats.xml_elements.MAX_ELEMENTS", 500)
+    with pytest.raises(SceneFileError, match="more than 500 elements"):
+        load(path)
+
+
+def test_files_that_are_not_there(tmp_path: Path) -> None:
+    with pytest.raises(SceneFileError, match="no such file"):
+        load(tmp_path / "none.x3d")
+    with pytest.raises(SceneFileError, match="is a folder"):
+        load(tmp_path)
+
+
+TEXTURED = "<Shape><Appearance><ImageTexture url='{}'/></Appearance></Shape>"
+
+
+def texture_of(path: Path, url: str) -> n.ImageTexture:
+    path.write_text(x3d(TEXTURED.format(url)))
+    (shape,) = read_nodes(path).children
+    texture = shape.appearance.texture  # type: ignore[attr-defined]
+    assert isinstance(texture, n.ImageTexture)
+    return texture
+
+
+def test_textures_come_from_beside_the_file_with_the_bottom_row_first(tmp_path: Path) -> None:
+    pixels = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
+    (tmp_path / "maps").mkdir()
+    Image.fromarray(pixels).save(tmp_path / "maps" / "a b.png")
+    expected = pixels[::-1] / 255.0
+    for url in ('"maps/a b.png"', '"maps/a%20b.png"', "maps/a b.png", '"missing.png" "./maps/a b.png"'):
+        texture = texture_of(tmp_path / "scene.x3d", url)
+        assert np.array_equal(texture.image, expected)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("url", "reason"),
+    [
+        ("missing.png", "no such file"),
+        ("../secret.png", "outside the scene's folder"),
+        ("link.png", "outside the scene's folder"),
+        ("{absolute}", "outside the scene's folder"),
+        ("C:\\\\secret.png", "outside the scene's folder"),
+        ("http://127.0.0.1:9/a.png", "is an address"),
+        ("file:///etc/passwd", "is an address"),
+        ("note.png", "not an image"),
+        ("data:image/png;base64,AAAA", "not an image"),
+        ("\x7f" * 5000, "no such file"),
+    ],
+)
+def test_textures_that_cannot_be_had_are_absent_and_named(tmp_path: Path, url: str, reason: str) -> None:
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    Image.new("RGB", (2, 2)).save(tmp_path / "secret.png")
+    (folder / "link.png").symlink_to(tmp_path / "secret.png")
+    (folder / "note.png").write_text("not a picture")
+    url = url.replace("{absolute}", str(tmp_path / "secret.png"))
+    with pytest.warns(SceneFileWarning, match=f"1 file not used.*{reason}.*line 3"):
+        texture = texture_of(folder / "scene.x3d", f'"{url}"')
+    assert texture.image is None
+
+
+def test_a_texture_in_the_address_itself(tmp_path: Path) -> None:
+    url = (
+        "data:image/png;base64,iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR4nGP4z8AAAAMBAQDJ/pLvAAAAAElFTkSuQmCC"
+    )
+    texture = texture_of(tmp_path / "scene.x3d", f'"{url}"')
+    assert texture.image is not None and texture.image.tolist() == [[[1, 0, 0]]]
+
+
+def test_loading_a_file_equals_building_the_scene_in_python(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(x3d("\n".join(text for text, _ in NODES)))
+    built = Scene.from_nodes([node for _, node in NODES])
+    loaded = load(path)
+    assert nodes_equal(loaded.document.children, built.document.children)
+    for name in ("materials", "directional", "point", "spot", "fog"):
+        a, b = getattr(loaded, name), getattr(built, name)
+        for field in vars(a):
+            x, y = getattr(a, field), getattr(b, field)
+            assert x == y if not hasattr(x, "shape") else np.array_equal(x, y), f"{name}.{field}"
+    assert loaded.surfaces == built.surfaces
+    assert loaded.document.source is not None and built.document.source is None
