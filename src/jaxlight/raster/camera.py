@@ -73,9 +73,7 @@ class Camera:
         return cls(position, _upright(-axes[:, 2], axes[:, 1]), node.field_of_view)
 
     @classmethod
-    def look_at(
-        cls, eye: Any, target: Any, up: Any = (0.0, 1.0, 0.0), field_of_view: float = math.pi / 4
-    ) -> Camera:
+    def look_at(cls, eye: Any, target: Any, up: Any = (0.0, 1.0, 0.0), field_of_view: float = math.pi / 4) -> Camera:
         """A camera at `eye` that looks at `target`, with `up` upwards in the picture.
 
         Raises:

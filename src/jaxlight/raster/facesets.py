@@ -106,9 +106,7 @@ def _values(node: Any, field: str, columns: int) -> np.ndarray:
     return np.zeros((0, columns)) if node is None else getattr(node, field)
 
 
-def _attribute_index(
-    node: nodes.IndexedFaceSet, faces: Faces, field: str, per_vertex: bool, where: str
-) -> np.ndarray:
+def _attribute_index(node: nodes.IndexedFaceSet, faces: Faces, field: str, per_vertex: bool, where: str) -> np.ndarray:
     """[C], which colour, normal or texture coordinate each corner takes (X3D 13.3.6)."""
     index = getattr(node, field)
     if per_vertex:

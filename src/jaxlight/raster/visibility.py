@@ -15,7 +15,7 @@ rounding is monotone: nothing that the test would accept is ever dropped.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -33,7 +33,7 @@ _NOTHING = np.iinfo(np.int64).max
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Prepared:
-    """Triangles that may be seen, front to back, as functions of the pixel."""
+    """Triangles that may be seen, as functions of the pixel."""
 
     number: np.ndarray
     """[V], which of the given triangles."""
@@ -48,36 +48,46 @@ class Prepared:
     is_back: np.ndarray
     """[V], the triangle is seen from behind."""
 
+    @classmethod
+    def front_to_back(cls, parts: Sequence[Prepared]) -> Prepared:
+        """Several sets of triangles as one, nearest first (ties by number)."""
+        number, edge, volume, bounds, nearest, is_back = (
+            np.concatenate([getattr(part, field.name) for part in parts], axis=-1) for field in dataclasses.fields(cls)
+        )
+        order = np.argsort(nearest, kind="stable")
+        return cls(number[order], edge[:, :, order], volume[order], bounds[:, order], nearest[order], is_back[order])
 
-def prepare(corners: np.ndarray, pixel_to_camera: np.ndarray, cull: np.ndarray, width: int, height: int) -> Prepared:
-    """Set up triangles for a picture.
+
+def prepare(
+    corners: np.ndarray, pixel_to_camera: np.ndarray, width: int, height: int, *, cull: bool, first_number: int = 0
+) -> Prepared:
+    """Set up triangles for a picture; those that it cannot show are left out.
 
     Args:
-        corners: [T, 3, 3], in camera axes, relative to the eye, counterclockwise in front.
+        corners: [3 corners, 3 axes, T], in camera axes, relative to the eye, counterclockwise in front.
         pixel_to_camera: [3, 3], (u, v, 1) to the direction of a ray.
-        cull: [T], True: not seen from behind.
         width, height: pixels.
+        cull: True: not seen from behind.
+        first_number: number of the first triangle.
     """
-    a, b, c = (tuple(corners[:, i].T) for i in range(3))
-    normals = (_cross(b, c), _cross(c, a), _cross(a, b))
-    det = a[0] * normals[0][0] + a[1] * normals[0][1] + a[2] * normals[0][2]
-    is_back = det > 0
-    depth = -corners[:, :, 2]
-    keep = (det != 0) & np.isfinite(det) & ~(is_back & cull) & np.any(depth > 0, axis=1)
-    bounds = _bounds(corners, depth, pixel_to_camera)
-    keep &= (bounds[0] <= width) & (bounds[1] >= 0) & (bounds[2] <= height) & (bounds[3] >= 0)
-    nearest = np.maximum(depth.min(axis=1), 0.0)
+    a, b, c = corners
+    normal_a = _cross(b, c)
+    det = a[0] * normal_a[0] + a[1] * normal_a[1] + a[2] * normal_a[2]
+    depth = -corners[:, 2]
+    keep = ((det < 0) if cull else (det != 0)) & np.isfinite(det) & np.any(depth > 0, axis=0)
     number = np.flatnonzero(keep)
-    number = number[np.argsort(nearest[number], kind="stable")]
-    sign = np.where(is_back[number], 1.0, -1.0)
+    bounds = _bounds(corners[:, :, number], pixel_to_camera)
+    on_picture = (bounds[0] <= width) & (bounds[1] >= 0) & (bounds[2] <= height) & (bounds[3] >= 0)
+    number, bounds = number[on_picture], bounds[:, on_picture]
+    (a, b, c), det = corners[:, :, number], det[number]
+    sign = np.where(det > 0, 1.0, -1.0)
     edge = np.empty((3, 3, len(number)))
-    for corner, normal in enumerate(normals):
-        x, y, z = (sign * component[number] for component in normal)
+    for corner, normal in enumerate((_cross(b, c), _cross(c, a), _cross(a, b))):
         for axis in range(3):
             p, q, r = pixel_to_camera[:, axis]
-            edge[corner, axis] = x * p + y * q + z * r
-    nearest = nearest[number] * (1 - _SLACK)
-    return Prepared(number, edge, np.abs(det[number]), bounds[:, number], nearest, is_back[number])
+            edge[corner, axis] = sign * (normal[0] * p + normal[1] * q + normal[2] * r)
+    nearest = np.maximum(-corners[:, 2, number].max(axis=0), 0.0) * (1 - _SLACK)
+    return Prepared(number + first_number, edge, np.abs(det), bounds, nearest, det > 0)
 
 
 def first_hits(
@@ -97,12 +107,13 @@ def first_hits(
     boxes = _Boxes(row, low_x[row], high_x[row], low_y[row], high_y[row])
     for chunk in boxes.chunks():
         chunk = chunk.select(prepared.nearest[chunk.row] <= target.farthest(chunk))
-        across = np.maximum(chunk.high_x - chunk.low_x, chunk.high_y - chunk.low_y)
-        target.draw(prepared, chunk.select(across < _SMALL), offset)
-        for blocks in chunk.select(across >= _SMALL).split(_BLOCK):
+        is_large = chunk.across > _SMALL
+        target.draw(prepared, chunk.select(~is_large), offset)
+        for blocks in chunk.select(is_large).split(_BLOCK):
             blocks = blocks.select(_may_touch(prepared, blocks, offset, target.farthest(blocks)))
             for small in blocks.split(_SMALL // 2):
                 target.draw(prepared, small.select(_may_touch(prepared, small, offset, target.farthest(small))), offset)
+        target.note_depths()
     numbers = target.numbers()
     pixel = np.flatnonzero(numbers != _NOTHING)
     row_of = np.zeros(int(prepared.number.max(initial=-1)) + 1, dtype=np.int64)
@@ -127,15 +138,22 @@ class _Boxes:
     high_y: np.ndarray
 
     @property
-    def area(self) -> np.ndarray:
-        return (self.high_x - self.low_x + 1) * (self.high_y - self.low_y + 1)
+    def across(self) -> np.ndarray:
+        """Pixels along the longer side."""
+        return np.maximum(self.high_x - self.low_x, self.high_y - self.low_y) + 1
+
+    @property
+    def work(self) -> np.ndarray:
+        """Roughly what a box costs, in pixels to test: its area, or less where blocks are looked at first."""
+        area = (self.high_x - self.low_x + 1) * (self.high_y - self.low_y + 1)
+        return np.where(self.across > _SMALL, _SMALL * self.across + area // _SMALL, area)
 
     def select(self, keep: np.ndarray | slice) -> _Boxes:
         return _Boxes(self.row[keep], self.low_x[keep], self.high_x[keep], self.low_y[keep], self.high_y[keep])
 
     def chunks(self) -> Iterator[_Boxes]:
-        """Runs of boxes of about _CHUNK pixels together, in order."""
-        total = np.cumsum(self.area)
+        """Runs of boxes of about _CHUNK pixels' work together, in order."""
+        total = np.cumsum(self.work)
         start = 0
         while start < len(self.row):
             done = total[start - 1] if start else 0
@@ -171,6 +189,7 @@ class _Target:
         self.depth = depth.ravel()
         self.number = np.full(self.depth.shape, _NOTHING)
         self.block_depth = np.full((rows, columns), np.inf)
+        self.changes = 0
 
     def farthest(self, boxes: _Boxes) -> np.ndarray:
         """For each box at most a block across a depth behind which it is filled; infinity for larger ones."""
@@ -182,8 +201,9 @@ class _Target:
     def draw(self, prepared: Prepared, boxes: _Boxes, offset: tuple[float, float]) -> None:
         """Test every pixel of the boxes."""
         for chunk in boxes.chunks():
-            which, within = _count_up(chunk.area)
-            down, right = np.divmod(within, (chunk.high_x - chunk.low_x + 1)[which])
+            width, height = chunk.high_x - chunk.low_x + 1, chunk.high_y - chunk.low_y + 1
+            which, within = _count_up(width * height)
+            down, right = np.divmod(within, width[which])
             x, y, row = chunk.low_x[which] + right, chunk.low_y[which] + down, chunk.row[which]
             u, v = x + offset[0], y + offset[1]
             volumes = [_volume(prepared.edge[corner], row, u, v) for corner in range(3)]
@@ -191,10 +211,16 @@ class _Target:
             total = volumes[0][inside] + volumes[1][inside] + volumes[2][inside]
             inside, total = inside[total > 0], total[total > 0]
             row = row[inside]
-            self._keep_nearest(
-                y[inside] * self.stride + x[inside], prepared.volume[row] / total, prepared.number[row]
-            )
-            self._refresh(int(chunk.low_y.min()) // _BLOCK, int(chunk.high_y.max()) // _BLOCK + 1)
+            self._keep_nearest(y[inside] * self.stride + x[inside], prepared.volume[row] / total, prepared.number[row])
+
+    def note_depths(self) -> None:
+        """Bring the depths of the blocks up to date, once enough has changed to be worth it."""
+        if 16 * self.changes < len(self.depth):
+            return
+        self.changes = 0
+        rows, columns = self.block_depth.shape
+        across = self.depth.reshape(rows * _BLOCK, columns, _BLOCK).max(axis=2)
+        self.block_depth = across.reshape(rows, _BLOCK, columns).max(axis=1)
 
     def numbers(self) -> np.ndarray:
         """[height * width], number of the triangle that each pixel shows, _NOTHING where there is none."""
@@ -206,12 +232,9 @@ class _Target:
         np.minimum.at(self.depth, pixel, depth)
         wins = depth == self.depth[pixel]
         pixel, number, is_nearer = pixel[wins], number[wins], (depth < before)[wins]
+        self.changes += len(pixel)
         self.number[pixel[is_nearer]] = _NOTHING
         np.minimum.at(self.number, pixel, number)
-
-    def _refresh(self, start: int, stop: int) -> None:
-        rows = self.depth.reshape(-1, _BLOCK, self.block_depth.shape[1], _BLOCK)[start:stop]
-        self.block_depth[start:stop] = rows.max(axis=(1, 3))
 
 
 def _may_touch(prepared: Prepared, boxes: _Boxes, offset: tuple[float, float], farthest: np.ndarray) -> np.ndarray:
@@ -238,18 +261,21 @@ def _cross(p: tuple[np.ndarray, ...], q: tuple[np.ndarray, ...]) -> tuple[np.nda
     return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
 
 
-def _bounds(corners: np.ndarray, depth: np.ndarray, pixel_to_camera: np.ndarray) -> np.ndarray:
+def _bounds(corners: np.ndarray, pixel_to_camera: np.ndarray) -> np.ndarray:
     """[4, T], least and largest u, least and largest v of each triangle; everything where it reaches behind the eye."""
-    pixels = corners @ np.linalg.inv(pixel_to_camera).T
-    behind = np.any(depth <= 0, axis=1)
+    to_pixel = np.linalg.inv(pixel_to_camera)
+    behind = np.any(corners[:, 2] >= 0, axis=0)
+    bounds = np.empty((4, corners.shape[2]))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        uv = pixels[:, :, :2] / pixels[:, :, 2:]
-    low, high = uv.min(axis=1), uv.max(axis=1)
-    guard = _GUARD + 1e-9 * np.maximum(np.abs(low), np.abs(high))
-    low, high = low - guard, high + guard
-    low[behind | ~np.all(np.isfinite(low), axis=1)] = -np.inf
-    high[behind | ~np.all(np.isfinite(high), axis=1)] = np.inf
-    return np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]])
+        scale = 1 / np.tensordot(to_pixel[2], corners, axes=(0, 1))
+        for axis in range(2):
+            place = np.tensordot(to_pixel[axis], corners, axes=(0, 1)) * scale
+            low, high = place.min(axis=0), place.max(axis=0)
+            guard = _GUARD + 1e-9 * np.maximum(np.abs(low), np.abs(high))
+            unknown = behind | ~np.isfinite(guard)
+            bounds[2 * axis] = np.where(unknown, -np.inf, low - guard)
+            bounds[2 * axis + 1] = np.where(unknown, np.inf, high + guard)
+    return bounds
 
 
 def _count_up(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

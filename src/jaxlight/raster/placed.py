@@ -1,0 +1,152 @@
+"""The shapes of a scene as a camera sees them: triangles to test, and what they carry at the points that were hit."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..scene import Scene, nodes
+from ..scene.document import PlacedShape
+from ..scene.transforms import apply_to_normals, apply_to_points, mirrors
+from .camera import Camera
+from .quadrics import onto_quadric
+from .tessellate import SEGMENTS, segments_for, tessellate
+from .texels import bilinear_texels
+from .triangles import Triangles
+from .visibility import Prepared, prepare
+
+
+class Attributes(NamedTuple):
+    """What samples carry, world space; colours and texels are None where no surface of the scene has any."""
+
+    position: np.ndarray
+    normal: np.ndarray
+    color: np.ndarray | None
+    texel_index: np.ndarray | None
+    texel_weight: np.ndarray | None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PlacedTriangles:
+    """The triangles of all shapes, numbered in the order of the shapes."""
+
+    scene: Scene
+    triangles: tuple[Triangles, ...]
+    """Of each placed shape, in its own coordinates."""
+    first: np.ndarray
+    """[shapes + 1], number of each shape's first triangle."""
+
+    @classmethod
+    def of(cls, scene: Scene, camera: Camera, width: int, height: int) -> PlacedTriangles:
+        """Every shape cut into triangles, curved ones as finely as the picture asks for.
+
+        Raises:
+            ValueError: the scene has no shape with geometry, or a geometry has an index that does not fit.
+        """
+        known: dict[tuple[int, int], Triangles] = {}
+        all_triangles = []
+        for placed in scene.document.shapes:
+            segments = _segments(placed, camera, width, height)
+            key = (id(placed.node), segments)
+            if key not in known:
+                known[key] = tessellate(placed.node, segments)
+            all_triangles.append(known[key])
+        first = np.cumsum([0, *(len(triangles) for triangles in all_triangles)])
+        if first[-1] == 0:
+            raise ValueError("rasterize: the scene has no shape with geometry; there is nothing to see")
+        return cls(scene, tuple(all_triangles), first)
+
+    def prepared(self, camera: Camera, width: int, height: int) -> Prepared:
+        """The triangles as the rasteriser tests them."""
+        pixel_to_camera = camera.pixel_to_camera(width, height)
+        parts = []
+        for placed, triangles, first in zip(self.scene.document.shapes, self.triangles, self.first, strict=False):
+            # Term by term: equal corners give bitwise equal results wherever they stand, which a blocked matrix
+            # product does not promise, and without which a hair's breadth could open between triangles.
+            world = [
+                _row_times(row, triangles.position) + shift - eye
+                for row, shift, eye in zip(placed.to_world[:, :3], placed.to_world[:, 3], camera.position, strict=True)
+            ]
+            seen = np.stack([sum(m * w for m, w in zip(axis, world, strict=True)) for axis in camera.rotation.T])
+            corners = np.moveaxis(seen, 2, 0)
+            if mirrors(placed.to_world):
+                corners = corners[::-1]
+            solid = getattr(placed.node.geometry, "solid", True)
+            parts.append(prepare(corners, pixel_to_camera, width, height, cull=solid, first_number=int(first)))
+        return Prepared.front_to_back(parts)
+
+    def surface_of(self, number: np.ndarray) -> np.ndarray:
+        """Row in Scene.surfaces of each triangle."""
+        rows = np.array([placed.surface for placed in self.scene.document.shapes])
+        return rows[np.searchsorted(self.first, number, side="right") - 1]
+
+    def attributes(self, eye: np.ndarray, number: np.ndarray, weight: np.ndarray, is_back: np.ndarray) -> Attributes:
+        """What triangles `number` [N] carry where rays from `eye` meet them, at barycentric `weight` [N, 3].
+
+        The normals of back faces are turned round.
+        """
+        scene = self.scene
+        components = max((surface.color_components for surface in scene.surfaces), default=0)
+        count = len(number)
+        position, normal = np.empty((count, 3)), np.empty((count, 3))
+        color = np.ones((count, components)) if components else None
+        has_texture = any(surface.texture >= 0 for surface in scene.surfaces)
+        texel_index = np.zeros((count, 4), dtype=np.int64) if has_texture else None
+        texel_weight = np.zeros((count, 4)) if has_texture else None
+        shape = np.searchsorted(self.first, number, side="right") - 1
+        by_shape = np.argsort(shape, kind="stable")
+        hit, starts = np.unique(shape[by_shape], return_index=True)
+        for which, here in zip(hit, np.split(by_shape, starts[1:]), strict=True):
+            placed, triangles = scene.document.shapes[which], self.triangles[which]
+            row = number[here] - self.first[which]
+            at = weight[here, ::-1] if mirrors(placed.to_world) else weight[here]
+            local = _interpolated(at, triangles.position, row)
+            position[here] = apply_to_points(placed.to_world, local)
+            normal[here] = apply_to_normals(placed.to_world, _interpolated(at, triangles.normal, row))
+            if triangles.quadric is not None and triangles.curved is not None:
+                curved = here[triangles.curved[row]]
+                position[curved], normal[curved] = onto_quadric(
+                    triangles.quadric, placed.to_world, eye, position[curved]
+                )
+            if color is not None and triangles.color is not None:
+                color[here, : triangles.color.shape[2]] = _interpolated(at, triangles.color, row)
+            texture = scene.surfaces[placed.surface].texture
+            if texel_index is not None and texel_weight is not None and texture >= 0:
+                node = scene.document.textures[texture]
+                assert node.image is not None  # a texture without an image is no texture of the scene
+                texel_index[here], texel_weight[here] = bilinear_texels(
+                    _interpolated(at, triangles.texcoord, row),
+                    node.image.shape[1],
+                    node.image.shape[0],
+                    repeat_s=node.repeat_s,
+                    repeat_t=node.repeat_t,
+                )
+        normal[is_back] *= -1.0
+        return Attributes(position, normal, color, texel_index, texel_weight)
+
+
+def _segments(placed: PlacedShape, camera: Camera, width: int, height: int) -> int:
+    """How finely a curved primitive must be cut, from its size in the picture."""
+    match placed.node.geometry:
+        case nodes.Sphere(radius=radius):
+            extent = radius
+        case nodes.Cylinder(radius=radius, height=length) | nodes.Cone(bottom_radius=radius, height=length):
+            extent = math.hypot(radius, length / 2)
+        case _:
+            return SEGMENTS
+    largest = float(np.linalg.norm(placed.to_world[:, :3], 2))
+    distance = float(np.linalg.norm(placed.to_world[:, 3] - camera.position)) - extent * largest
+    pixels_per_radian = 1 / np.abs(np.diag(camera.pixel_to_camera(width, height))[:2]).min()
+    return segments_for(pixels_per_radian * radius * largest / max(distance, 1e-3 * radius * largest))
+
+
+def _interpolated(weight: np.ndarray, values: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """[N, k], corner values [T, 3, k] of triangles `row` weighted by [N, 3]."""
+    return sum((weight[:, corner, None] * values[row, corner] for corner in range(3)), np.zeros(1))
+
+
+def _row_times(row: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return row[0] * points[..., 0] + row[1] * points[..., 1] + row[2] * points[..., 2]
