@@ -12,7 +12,16 @@ import numpy as np
 
 from .case import Case, Fog, Light, Material, Options, Sample
 
-__all__ = ["attenuation", "diffuse_factor", "fog_interpolant", "lit_color", "shade", "spot_factor", "unlit_color"]
+__all__ = [
+    "attenuation",
+    "brightest",
+    "diffuse_factor",
+    "fog_interpolant",
+    "lit_color",
+    "shade",
+    "spot_factor",
+    "unlit_color",
+]
 
 
 def shade(case: Case) -> tuple[np.ndarray, float]:
@@ -127,6 +136,20 @@ def light_contribution(
         axis = linear(light.frame) @ np.array(light.direction)
         factor = factor * spot_factor(light, spot_angle(-l, axis))
     return factor * np.array(light.color) * (ambient + diffuse + specular)
+
+
+def brightest(case: Case) -> np.ndarray:
+    """What the colour [3] cannot exceed: every light that is on, unattenuated and head-on; or the fog's colour."""
+    if case.material is None or case.line_or_point:
+        return np.ones(3)
+    o_d, _ = diffuse_factor(case.sample, case.material, case.options)
+    rgb = np.array(case.material.emissive_color)
+    for light in case.lights:
+        if light.on:
+            ambient = light.ambient_intensity * case.material.ambient_intensity * o_d
+            direct = light.intensity * (o_d + np.array(case.material.specular_color))
+            rgb = rgb + np.array(light.color) * (ambient + direct)
+    return rgb if case.fog is None else np.maximum(rgb, case.fog.color)
 
 
 def affects(light: Light, sample: Sample, options: Options) -> bool:

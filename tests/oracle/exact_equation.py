@@ -10,7 +10,7 @@ from mpmath import mp, mpf
 from .case import Fog, Light, Material
 from .dual import Dual, Vector, dot, minus, plus, times
 from .paths import is_live
-from .tape import Kind, Tape, angle_between, exp, length_slopes, log, sum_slopes
+from .tape import Kind, Tape, angle_between, exp, exp_minus_one, length_slopes, log, sum_slopes
 
 
 def shade(tape: Tape) -> tuple[Dual, Dual, Dual, Dual]:
@@ -201,5 +201,9 @@ def fogged(tape: Tape, color: Vector, fog: Fog) -> Vector:
     haze = tape.vector("fog", "color")
     if not within:
         return haze
-    f0 = (visibility - d) / visibility if fog.fog_type == "LINEAR" else exp(-(d / (visibility - d)))
-    return plus(haze, times(minus(color, haze), f0))
+    if fog.fog_type == "LINEAR":
+        f0, lost = (visibility - d) / visibility, d / visibility
+    else:
+        exponent = -(d / (visibility - d))
+        f0, lost = exp(exponent), -exp_minus_one(exponent)
+    return plus(times(haze, lost), times(color, f0))  # 1 - f0 in its own right: it may be far below f0's last digit

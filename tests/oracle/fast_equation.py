@@ -9,7 +9,7 @@ import numpy as np
 
 from .case import Fog, Light
 from .dual import Dual, Vector, cross, dot, minus, plus, times
-from .fast_tape import WIDE, FastTape, arc_tangent, exp, log, safe_reciprocal, select, sum_slopes
+from .fast_tape import WIDE, FastTape, arc_tangent, exp, exp_minus_one, log, safe_reciprocal, select, sum_slopes
 from .paths import is_live
 
 OPPOSITE = 1e-17
@@ -160,8 +160,9 @@ def modified_power(tape: FastTape, i: int, base: Dual) -> Dual:
     power = exp(exponent * log(base.map_value(np.where(positive, x, WIDE(1)))))
     tape.decide("cone", x, base.gradient, where=n < 1)
     straight = tape.decide("kink", x, base.gradient, name=f"lights[{i}].n_h", where=n == 1)
-    power = select(positive, power, Dual(np.where(n == 0, WIDE(1), WIDE(0))))
-    return select(n == 1, select(straight, base, tape.constant(0)), power)
+    beyond = select(n == 1, base, Dual(np.where(n == 0, WIDE(1), WIDE(0))))
+    power = select(positive, power, beyond)
+    return select((n == 1) & ~straight, tape.constant(0), power)
 
 
 def fogged(tape: FastTape, fog: Fog, color: Vector) -> Vector:
@@ -175,10 +176,14 @@ def fogged(tape: FastTape, fog: Fog, color: Vector) -> Vector:
     if fog.fog_type == "LINEAR":
         slopes = sum_slopes(tape.length_slopes(offset), visibility.gradient)
         within = tape.decide("kink", margin.value, slopes, name="fog.range", where=present)
-        f0 = margin * visibility.map_value(np.where(present, visibility.value, WIDE(1))).reciprocal()
+        inverse = visibility.map_value(np.where(present, visibility.value, WIDE(1))).reciprocal()
+        f0, lost = margin * inverse, d * inverse
     else:
-        f0 = exp(-(d * margin.map_value(np.where(within, margin.value, WIDE(1))).reciprocal()))
-    f0 = select(present, select(within, f0, tape.constant(0)), tape.constant(1))
+        exponent = -(d * margin.map_value(np.where(within, margin.value, WIDE(1))).reciprocal())
+        f0, lost = exp(exponent), -exp_minus_one(exponent)
+    none, one = tape.constant(0), tape.constant(1)
+    f0 = select(present, select(within, f0, none), one)
+    lost = select(present, select(within, lost, one), none)  # 1 - f0: it may be far below f0's last digit
     haze = tape.vector("fog", "color")
-    r, g, b = (haze[c] * (1 - f0) + f0 * color[c] for c in range(3))
+    r, g, b = (haze[c] * lost + f0 * color[c] for c in range(3))
     return r, g, b

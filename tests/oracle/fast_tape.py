@@ -175,6 +175,12 @@ def exp(x: Dual) -> Dual:
     return x.chain(value, value, value)
 
 
+def exp_minus_one(x: Dual) -> Dual:
+    """e^x - 1 with all its digits near 0."""
+    value = np.exp(x.value)
+    return x.chain(np.expm1(x.value), value, value)
+
+
 def log(x: Dual) -> Dual:
     """The natural logarithm."""
     inverse = 1 / x.value

@@ -42,10 +42,9 @@ class Tape:
         self.needs_more_digits = False
 
     def number(self, *path: str | int) -> Dual:
-        """The input at a path."""
+        """The input at a path (a float, or an mpmath number)."""
         if path not in self.inputs:
-            value = mpf(float(get(self.case, path)))
-            self.inputs[path] = Dual.variable(value, len(self.inputs), mpf(1), self.order)
+            self.inputs[path] = Dual.variable(mpf(get(self.case, path)), len(self.inputs), mpf(1), self.order)
         return self.inputs[path]
 
     def vector(self, *path: str | int) -> Vector:
@@ -130,6 +129,12 @@ def exp(x: Dual) -> Dual:
     """e^x."""
     value = mp.exp(x.value)
     return x.chain(value, value, value)
+
+
+def exp_minus_one(x: Dual) -> Dual:
+    """e^x - 1 with all its digits near 0."""
+    value = mp.exp(x.value)
+    return x.chain(mp.expm1(x.value), value, value)
 
 
 def log(x: Dual) -> Dual:
