@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from .cameras import camera_of
 from .files import existing
 from .options import Precision, Reading, ScenePath, SharedReading, use_precision
 from .progress import stages
@@ -41,4 +42,21 @@ class Gradcheck:
     def run(self) -> int:
         """Print the table."""
         existing(self.scene)
-        return 0
+        use_precision(self.precision)
+        with stages(3) as stage:
+            stage(f"reading {self.scene}")
+            from jaxlight import check_gradients, load, rasterize
+
+            scene = load(self.scene)
+            stage("finding what is visible")
+            samples = rasterize(scene, camera_of(scene, self.viewpoint), self.width, self.height)
+            stage("comparing derivatives")
+            check = check_gradients(
+                scene,
+                samples,
+                list(self.fields) or None,
+                tolerance=self.tolerance,
+                options=self.reading.lighting_options(),
+            )
+        print(check)
+        return 0 if check.passed else 1

@@ -1,0 +1,90 @@
+"""README.md keeps its promises: its commands run, its Python runs, its links and names exist."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import jaxlight
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text()
+
+
+class Block(NamedTuple):
+    """A fenced block; `mark` is the name in the `<!-- ci: NAME -->` line before it."""
+
+    language: str
+    code: str
+    mark: str
+
+
+BLOCKS = [
+    Block(match["language"], match["code"], match["mark"] or "")
+    for match in re.finditer(
+        r"(?:<!-- ci: (?P<mark>[\w ]+) -->\n)?^```(?P<language>\w+)\n(?P<code>.*?)^```$", README, re.M | re.S
+    )
+]
+COMMANDS = [block.code.strip() for block in BLOCKS if block.language == "bash" and not block.mark]
+
+
+@pytest.fixture
+def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder in which the README's relative paths work and into which its outputs go."""
+    (tmp_path / "fitting").symlink_to(ROOT / "fitting")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_two_commands_are_marked_for_ci() -> None:
+    assert [block.mark for block in BLOCKS if block.mark] == ["main job", "tests"]
+
+
+def test_ci_finds_the_same_two_commands() -> None:
+    script = (ROOT / ".ci" / "run").read_text()
+    function = re.search(r"^readme_command\(\).*?^}", script, re.M | re.S)
+    assert function is not None
+    for block in BLOCKS:
+        if block.mark:
+            call = f"{function[0]}\nreadme_command {shlex.quote(block.mark)}"
+            found = subprocess.run(["bash", "-c", call], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+            assert found == block.code
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: " ".join(command.split()[:2]))
+def test_commands_run(clone: Path, command: str) -> None:
+    name, *args = shlex.split(command)
+    assert name == "jaxlight"
+    done = subprocess.run([sys.executable, "-m", "jaxlight", *args], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    if "--output" in args:
+        assert Path(args[args.index("--output") + 1]).exists()
+
+
+def test_python_runs(clone: Path) -> None:
+    code = "\n".join(block.code for block in BLOCKS if block.language == "python")
+    assert "jl.fit(" in code
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "Converged" in done.stdout
+    assert (clone / "out" / "fitted.x3d").is_file()
+
+
+def test_links_lead_somewhere() -> None:
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+        for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_every_name_in_the_table_is_at_the_door() -> None:
+    rows = re.findall(r"^\| (`.*?) \|", README, re.M)
+    names = [name for row in rows for name in re.findall(r"`(\w+)[`(.]", row)]
+    assert "shade" in names and "Camera" in names
+    missing = [name for name in names if name not in jaxlight.__all__]
+    assert missing == []
