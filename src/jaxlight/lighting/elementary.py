@@ -73,21 +73,21 @@ def _from_bits(bits: Array, dtype: jnp.dtype) -> Array:
     return lax.bitcast_convert_type(bits, dtype)
 
 
-def power_of_two_above(x: Float[Array, "..."]) -> Float[Array, "..."]:
+def power_of_two_above(x: Float[Array, ...]) -> Float[Array, ...]:
     """2^k with x in [2^k, 2^(k+1)) for x >= 0; the smallest normal power for 0 and denormals."""
     mantissa = _MANTISSA[x.dtype]
     bits = (_bits(x) >> mantissa) << mantissa
     return _from_bits(jnp.maximum(bits, 1 << mantissa), x.dtype)
 
 
-def reciprocal_of_power_of_two(x: Float[Array, "..."]) -> Float[Array, "..."]:
+def reciprocal_of_power_of_two(x: Float[Array, ...]) -> Float[Array, ...]:
     """1/x, exactly, for a power of two whose reciprocal is normal; at the largest, the smallest normal number."""
     mantissa, bias = _MANTISSA[x.dtype], _BIAS[x.dtype]
     return _from_bits(jnp.maximum((2 * bias << mantissa) - _bits(x), 1 << mantissa), x.dtype)
 
 
 @jax.custom_jvp
-def exp(x: Float[Array, "..."]) -> Float[Array, "..."]:
+def exp(x: Float[Array, ...]) -> Float[Array, ...]:
     """e^x for x <= 0; results below the smallest normal number are 0."""
     if x.dtype != jnp.float32:
         return jnp.exp(x)
@@ -108,23 +108,22 @@ def _exp_jvp(primals, tangents):
     return value, value * tangents[0]
 
 
-def log_of_cosine(cosine: Float[Array, "..."], sine_squared: Float[Array, "..."]) -> Float[Array, "..."]:
-    """ln(cos a), 0 < cos a <= 1, from cos a and sin^2 a: near a = 0 the digits are in the sine."""
-    near = sine_squared < 0.25
+def log_of_cosine(cosine: Float[Array, ...], versine: Float[Array, ...]) -> Float[Array, ...]:
+    """ln(cos a), 0 < cos a, from cos a and 1 - cos a: near a = 0 the digits are in the second."""
+    near = versine < 0.25
     if cosine.dtype != jnp.float32:
-        return jnp.where(near, 0.5 * jnp.log1p(-jnp.where(near, sine_squared, 0.0)), jnp.log(cosine))
-    # cosine = 2^e * (1 + t) with 1 + t in [3/4, 3/2)
+        return jnp.where(near, jnp.log1p(-jnp.where(near, versine, 0.0)), jnp.log(cosine))
+    # cosine = 2^e (1 + t) with 1 + t in [3/4, 3/2)
     bits = _bits(cosine)
     e = (bits - 0x3F400000) >> 23
-    t = _from_bits(bits - (e << 23), cosine.dtype) - 1.0
-    t = jnp.where(near, -sine_squared, t)
+    t = jnp.where(near, -versine, _from_bits(bits - (e << 23), cosine.dtype) - 1.0)
     e = jnp.where(near, 0, e).astype(cosine.dtype)
     t2 = t * t
     log1p = t + (t2 * t * polynomial(_LOG, t) - 0.5 * t2)
-    return jnp.where(near, 0.5 * log1p, e * _LN2_HIGH + (log1p + e * _LN2_LOW))
+    return e * _LN2_HIGH + (log1p + e * _LN2_LOW)
 
 
-def arctangent(y: Float[Array, "..."], x: Float[Array, "..."]) -> Float[Array, "..."]:
+def arctangent(y: Float[Array, ...], x: Float[Array, ...]) -> Float[Array, ...]:
     """atan2(y, x) for y >= 0 and not both 0, in [0, pi]."""
     smaller, larger = jnp.minimum(y, jnp.abs(x)), jnp.maximum(y, jnp.abs(x))
     t = smaller / jnp.where(larger == 0, 1.0, larger)

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array
 
 from .elementary import arctangent, exp, log_of_cosine
 from .vectors import Vector, cross, dot
@@ -18,50 +17,50 @@ _TINY = {jnp.dtype("float32"): 1e-30, jnp.dtype("float64"): 1e-280}
 _HUGE = {jnp.dtype("float32"): 1e37, jnp.dtype("float64"): 1e300}
 
 
-def modified_dot(a: Vector, b: Vector) -> Array:
-    """a . b where positive, else 0, with derivative 0 at 0 ("modified vector dot product", X3D 17.2.2.4)."""
-    value = dot(a, b)
-    return jnp.where(value > 0, value, 0.0)
+def positive_part(x: Array) -> Array:
+    """x where positive, else 0, with derivative 0 at 0: what makes a dot product the "modified" one of 17.2.2.4."""
+    return jnp.where(x > 0, x, 0.0)
 
 
 # --- highlight: (N . H)^(128 shininess) -------------------------------------------------------------------------------
 
-
-def highlight(n: Vector, l: Vector, v: Vector, exponent: Array) -> Array:
-    """(N . (L + V)/|L + V|)^exponent with the modified dot product; n, l, v unit or zero vectors.
-
-    N . H <= 0 (and L = -V, where H is undefined) gives 0^exponent: 1 for exponent 0, else 0, with derivative 0.
-    """
-    log_cosine, faces = log_cosine_of_half_angle(n, l + v)
-    return jnp.where(faces, exp(exponent * log_cosine), jnp.where(exponent == 0, 1.0, 0.0))
+AWAY = 1.0
+"""What stands for ln(N . H) where N . H <= 0; a true logarithm is never positive."""
 
 
 @jax.custom_jvp
-def log_cosine_of_half_angle(n: Vector, h: Vector) -> tuple[Float[Array, "..."], Bool[Array, "..."]]:
-    """ln(N . H / |H|) and whether N . H > 0; where it is not, the logarithm is given as 0 with derivative 0.
+def log_cosine(n: Vector, h: Vector, inverse: Array) -> Array:
+    """ln(N . H) for unit n, H = h / |h| and `inverse` = 1 / |h| (0 for h = 0); AWAY, with derivative 0, if N . H <= 0.
 
-    Close to N = H the dot product has no digits of the angle left, and an exponent of 128 would show it: the
-    logarithm is then taken from the sine, |N x H| / |H|.
+    Close to N = H the dot product has no digits of the angle left, and an exponent of 128 would show it: there
+    1 - N . H is taken from the difference, |N - H|^2 / 2.
     """
-    n_dot_h, h_dot_h = dot(n, h), dot(h, h)
-    c = cross(n, h)
-    faces = n_dot_h > 0
-    inverse_squared = 1.0 / jnp.where(faces, h_dot_h, 1.0)
-    cosine = jnp.where(faces, n_dot_h * jnp.sqrt(inverse_squared), 1.0)
-    sine_squared = jnp.where(faces, dot(c, c) * inverse_squared, 0.0)
-    return jnp.where(faces, log_of_cosine(jnp.minimum(cosine, 1.0), sine_squared), 0.0), faces
+    towards = h.scaled(inverse)
+    difference = n - towards
+    cosine = dot(n, towards)
+    faces = cosine > 0
+    value = log_of_cosine(jnp.where(faces, cosine, 1.0), 0.5 * dot(difference, difference))
+    return jnp.where(faces, value, AWAY)
 
 
-@log_cosine_of_half_angle.defjvp
+@log_cosine.defjvp
 def _log_cosine_jvp(primals, tangents):
-    """d ln(n.h / |h|) = (n.dh + dn.h) / n.h - h.dh / h.h"""
-    (n, h), (dn, dh) = primals, tangents
-    value, faces = log_cosine_of_half_angle(n, h)
-    per_cosine = jnp.where(faces, 1.0 / jnp.maximum(jnp.where(faces, dot(n, h), 1.0), _TINY[value.dtype]), 0.0)
-    per_square = jnp.where(faces, 1.0 / jnp.where(faces, dot(h, h), 1.0), 0.0)
-    towards = n.scaled(per_cosine) - h.scaled(per_square)
-    change = dot(towards, dh) + dot(h.scaled(per_cosine), dn)
-    return (value, faces), (change, np.zeros(faces.shape, jax.dtypes.float0))
+    """d ln(n . h / |h|) = (n / (n . H) - H) . dh / |h| + H . dn / (n . H). The change of `inverse` is part of that."""
+    (n, h, inverse), (dn, dh, _) = primals, tangents
+    value = log_cosine(n, h, inverse)
+    towards = h.scaled(inverse)
+    cosine = dot(n, towards)
+    faces = cosine > 0
+    secant = jnp.where(faces, 1.0 / jnp.maximum(jnp.where(faces, cosine, 1.0), _TINY[value.dtype]), 0.0)
+    slope = (n.scaled(secant) - towards.scaled(jnp.where(faces, 1.0, 0.0))).scaled(inverse)
+    return value, dot(slope, dh) + dot(towards.scaled(secant), dn)
+
+
+def highlight(log_cosine: Array, exponent: Array) -> Array:
+    """(N . H)^exponent from ln(N . H); where N . H <= 0 it is 0^exponent: 1 for exponent 0, else 0, derivative 0."""
+    faces = log_cosine != AWAY
+    power = exp(exponent * jnp.where(faces, log_cosine, 0.0))
+    return jnp.where(faces, power, jnp.where(exponent == 0, 1.0, 0.0))
 
 
 # --- attenuation ------------------------------------------------------------------------------------------------------
@@ -88,13 +87,11 @@ def _attenuation_jvp(primals, tangents):
 # --- spot -------------------------------------------------------------------------------------------------------------
 
 
-def spot(l: Vector, axis: Vector, beam_width: Array, cut_off_angle: Array) -> Array:
-    """The spotlight factor of table 17.4; l: unit vector to the light, axis: unit spot direction (or zero).
+def spot(angle: Array, beam_width: Array, cut_off_angle: Array) -> Array:
+    """The spotlight factor of table 17.4.
 
-    beam_width >= cut_off_angle: full intensity inside cut_off_angle, the ramp is not evaluated. For a light at the
-    sample (l = 0) or without a direction (axis = 0) the equation's acos(0) is pi/2.
+    beam_width >= cut_off_angle: full intensity inside cut_off_angle, the ramp is not evaluated.
     """
-    angle = angle_between(-l, axis)
     has_ramp = beam_width < cut_off_angle
     width = jnp.where(has_ramp, cut_off_angle - beam_width, 1.0)
     on_ramp = has_ramp & (angle > beam_width) & (angle < cut_off_angle)

@@ -21,11 +21,15 @@ from jaxtyping import Array, Float
 from ..raster.samples import SampleBuffer
 from ..scene import Materials, Scene, Surface
 from .options import LightingOptions
-from .plan import LightPlan, Plan, make_plan
+from .plan import Plan, make_plan
+from .stages import Stage
 from .surface import MaterialRow, alpha, base_color, sampled_texture
-from .terms import fogged, light_weights, lit_color, view_of
+from .terms import Geometry, Received, fogged, geometry, lit, received
 from .vectors import Vector
-from .world import WorldFog, WorldLights, fog_in_world, lights_in_world
+from .world import WorldFog, WorldLights, fog_in_world, in_chunks, lights_in_world
+
+PLANE = 8192
+"""Lights times samples that are evaluated at once: what a tile's planes may hold to stay in the cache."""
 
 
 def shade(
@@ -182,23 +186,31 @@ def tile_of(plane: Array, index: Array, tile: int) -> Array:
 def tile_color(run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, index: Array) -> Color:
     """The equation on one tile."""
     dtype, tile = compute_dtype(samples), samples.tile
-    position = Vector(*tile_of(samples.position_planes, index, tile).astype(dtype))
-    normal = Vector(*tile_of(samples.normal_planes, index, tile).astype(dtype))
+    stage = Stage(index >= 0 if run.stop - run.start > 1 else samples.tile_surface[0] >= 0)
+
+    def cut(plane: Array) -> Array:
+        return stage(lambda: tile_of(plane, index, tile).astype(dtype))
+
+    position = Vector(*cut(samples.position_planes))
+    normal = Vector(*cut(samples.normal_planes))
     surface = run.surface
     row = samples.tile_surface[index] if run.single is None else run.single
     material = _material_row(prepared, surface, row, run.single)
     vertex_color = texel = None
     if surface.color_components:
-        vertex_color = tile_of(samples.color_planes, index, tile).astype(dtype)
-    if surface.texture >= 0:
-        weight = tile_of(samples.texel_weight, index, tile).astype(dtype)
+        vertex_color = cut(samples.color_planes)
+    if surface.texture >= 0 and surface.lighting != "emissive":
+        weight = cut(samples.texel_weight)
         texel = sampled_texture(prepared.textures[surface.texture], tile_of(samples.texel_index, index, tile), weight)
     base = base_color(surface, plan.options, material, vertex_color, texel)
-    view = view_of(position, normal, samples.eye.astype(dtype))
+    low, high = samples.tile_low[:, index].astype(dtype), samples.tile_high[:, index].astype(dtype)
+    ground = geometry(stage, position, normal, samples.eye.astype(dtype), low, high)
     if surface.lighting == "lit":
-        base = _lit(prepared, plan, material, base, position, view, row)
+        assert material is not None
+        light = _light(stage, prepared, plan, ground, material, row)
+        base = lit(material, base, light, emissive=plan.emissive)
     if prepared.fog is not None and plan.fog is not None and (surface.lighting == "lit" or plan.options.fog_unlit):
-        base = fogged(base, prepared.fog, plan.fog.fog_type, view)
+        base = fogged(base, prepared.fog, plan.fog.fog_type, ground)
     opacity = alpha(plan.options, material, vertex_color, texel)
     ones = jnp.ones((tile,), dtype)
     return Color((base * ones).astype(dtype), ones if opacity is None else (opacity * ones).astype(dtype))
@@ -213,29 +225,42 @@ def _material_row(prepared: Prepared, surface: Surface, row: Any, single: int | 
     return MaterialRow(*(getattr(prepared.materials, name)[material] for name in MaterialRow._fields))
 
 
-def _lit(prepared: Prepared, plan: Plan, material: Any, diffuse: Array, position: Vector, view: Any, row: Any) -> Array:
-    kinds = []
-    exponent = 128.0 * material.shininess if plan.specular else None
-    all_kinds = zip(
-        (prepared.directional, prepared.point, prepared.spot),
-        (plan.directional, plan.point, plan.spot),
-        prepared.scopes,
-        strict=True,
-    )
-    for lights, light_plan, scope in all_kinds:
+def _light(
+    stage: Stage, prepared: Prepared, plan: Plan, tile: Geometry, material: MaterialRow, row: Any
+) -> Received | None:
+    """What the lights of all kinds send to a tile; None: there are none."""
+    total = None
+    for lights, scope in zip((prepared.directional, prepared.point, prepared.spot), prepared.scopes, strict=True):
         if lights is None:
             continue
-        assert isinstance(light_plan, LightPlan)
-        weights = light_weights(
-            lights,
-            position,
-            view,
-            exponent,
-            ambient=light_plan.ambient,
-            specular_gate=plan.options.specular_gate,
-        )
-        kinds.append((lights, weights, None if scope is None else scope[row]))
-    return lit_color(material, diffuse, kinds, emissive=plan.emissive)
+        if scope is not None:
+            lights = _scoped(lights, scope[row])
+        light = _light_of_kind(stage, lights, tile, material, plan)
+        total = light if total is None else total + light
+    return total
+
+
+def _scoped(lights: WorldLights, in_scope: Array) -> WorldLights:
+    """The lights with those out of scope made black."""
+    ambient = None if lights.ambient is None else jnp.where(in_scope, lights.ambient, 0.0)
+    return dataclasses.replace(lights, direct=jnp.where(in_scope, lights.direct, 0.0), ambient=ambient)
+
+
+def _light_of_kind(stage: Stage, lights: WorldLights, tile: Geometry, material: MaterialRow, plan: Plan) -> Received:
+    """`received`, over so many lights at once that their planes stay in the cache."""
+    options = {"specular": plan.specular, "specular_gate": plan.options.specular_gate}
+    samples = tile.position.x.shape[0]
+    chunk = max(1, PLANE // samples)
+    if lights.count <= chunk:
+        return received(stage, lights, tile, material, **options)
+    chunks = in_chunks(lights, chunk)
+
+    def add(total: Received, some: WorldLights) -> tuple[Received, None]:
+        return total + received(stage, some, tile, material, **options), None
+
+    dark = jnp.zeros((3, samples), tile.position.x.dtype)
+    total, _ = lax.scan(add, Received(dark, dark if plan.specular else None), chunks)
+    return total
 
 
 def _without_document(scene: Scene) -> Scene:
@@ -256,4 +281,6 @@ def check_samples(scene: Scene, samples: SampleBuffer) -> None:
                 f"the buffer holds {components}"
             )
         if surface.texture >= 0 and samples.texel_index is None:
-            raise ValueError(f"samples: surface {row} has a texture, but the buffer has no texel_index and texel_weight")
+            raise ValueError(
+                f"samples: surface {row} has a texture, but the buffer has no texel_index and texel_weight"
+            )

@@ -15,114 +15,171 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from . import factors
+from .stages import Stage
 from .surface import MaterialRow
-from .vectors import Vector, dot, transform, unit
+from .vectors import Vector, dot, inverse_length, inverse_length_in_range, normalised, transform, unit
 from .world import WorldFog, WorldLights
 
 
-class View(NamedTuple):
-    """What a sample sees of the viewer: unit normal, unit vector to the viewer, and the vector and distance to it."""
+class Geometry(NamedTuple):
+    """What a tile of samples knows of itself and the viewer; planes [samples]."""
 
+    position: Vector
+    low: Array
+    """Lowest coordinates of the tile, [3]."""
+    high: Array
     normal: Vector
+    """Unit normal."""
     to_viewer: Vector
+    """Unit vector to the viewer."""
     offset: Vector
+    """Vector to the viewer."""
     distance: Array
+    """Distance to the viewer."""
 
 
-class LightWeights(NamedTuple):
-    """Per light and sample [lights, samples]: what multiplies the light's colour in each term; None: skipped."""
+def geometry(stage: Stage, position: Vector, normal: Vector, eye: Float[Array, 3], low: Array, high: Array) -> Geometry:
+    """The tile's geometry, normalised."""
+    offset = Vector(*eye) - position
+    to_viewer, distance = stage(lambda: unit(offset))
+    return Geometry(position, low, high, stage(lambda: unit(normal)[0]), to_viewer, offset, distance)
 
-    reaching: Array | None
-    """on * attenuation * spot, the weight of the ambient term."""
+
+class Received(NamedTuple):
+    """Light that a tile receives, [3, samples]: sums over lights of colour times weight."""
+
     diffuse: Array
+    """What multiplies O_D: the ambient and diffuse terms."""
     specular: Array | None
+    """What multiplies O_S; None: skipped."""
+
+    def __add__(self, other: Received) -> Received:  # type: ignore[override]  # a sum of light, not a tuple's
+        specular = None if self.specular is None else self.specular + other.specular
+        return Received(self.diffuse + other.diffuse, specular)
 
 
-def view_of(position: Vector, normal: Vector, eye: Float[Array, "3"]) -> View:
-    """Normalised geometry of the samples."""
-    offset = Vector(eye[0], eye[1], eye[2]) - position
-    to_viewer, distance = unit(offset)
-    return View(unit(normal)[0], to_viewer, offset, distance)
-
-
-def light_weights(
-    lights: WorldLights, position: Vector, view: View, exponent: Array | None, *, ambient: bool, specular_gate: bool
-) -> LightWeights:
-    """The weights of all lights of one kind. `exponent` = 128 shininess; None: no specular term."""
+def received(
+    stage: Stage, lights: WorldLights, tile: Geometry, material: MaterialRow, *, specular: bool, specular_gate: bool
+) -> Received:
+    """attenuation * spot * I_L * (ambient + diffuse + specular), summed over lights, without O_D and O_S."""
     if lights.place is None:
+        assert lights.towards is not None
         l, reaching = lights.towards, None
     else:
-        l, reaching = _reaching(lights, position)
-    n_dot_l = dot(view.normal, l)
-    diffuse = jnp.where(n_dot_l > 0, n_dot_l, 0.0)
-    specular = None
-    if exponent is not None:
-        specular = factors.highlight(view.normal, l, view.to_viewer, exponent)
-        if specular_gate:
-            specular = jnp.where(n_dot_l > 0, specular, 0.0)
-    if reaching is not None:
-        diffuse = diffuse * reaching
-        specular = None if specular is None else specular * reaching
-    elif ambient:
-        reaching = jnp.ones_like(diffuse)
-    return LightWeights(reaching if ambient else None, diffuse, specular)
+        l, reaching = _reaching(stage, lights, tile)
+    n_dot_l = dot(tile.normal, l)
+    facing = factors.positive_part(n_dot_l)
+    diffuse = stage(lambda: _times(reaching, facing))
+    from_diffuse = _sum_of_colors(lights.direct, diffuse)
+    if lights.ambient is not None:
+        ambient = lights.ambient * material.ambient_intensity
+        if reaching is None:
+            from_diffuse = from_diffuse + jnp.sum(ambient, axis=1, keepdims=True)
+        else:
+            from_diffuse = from_diffuse + _sum_of_colors(ambient, reaching)
+    if not specular:
+        return Received(from_diffuse, None)
+    h = l + tile.to_viewer
+    inverse = stage(lambda: inverse_length_in_range(h))
+    log_cosine = stage(lambda: factors.log_cosine(tile.normal, h, inverse))
+
+    def highlight() -> Array:
+        power = factors.highlight(log_cosine, 128.0 * material.shininess)
+        return _times(reaching, jnp.where(n_dot_l > 0, power, 0.0) if specular_gate else power)
+
+    return Received(from_diffuse, _sum_of_colors(lights.direct, stage(highlight)))
 
 
-def _reaching(lights: WorldLights, position: Vector) -> tuple[Vector, Array | None]:
+def _reaching(stage: Stage, lights: WorldLights, tile: Geometry) -> tuple[Vector, Array | None]:
     """L, and attenuation * spot * (within radius) of point and spot lights; None: 1."""
-    offset = lights.place - position
-    l, d = unit(offset)
+    assert lights.place is not None
+    offset = lights.place - tile.position
+    inverse = lax.cond(
+        _squares_in_range(lights.place, tile),
+        lambda: inverse_length_in_range(offset),
+        lambda: inverse_length(offset),
+    )
+    l, d = normalised(offset, inverse)
     if lights.to_local is not None:
-        d = unit(transform(lights.to_local, offset))[1]
+        local = transform(lights.to_local, offset)
+        d = stage(lambda: unit(local)[1])
     elif lights.unit_length is not None:
         d = d / lights.unit_length
-    reaching = None
-    if lights.attenuation is not None:
-        reaching = factors.attenuation(*lights.attenuation, d)
+    spot = None
     if lights.axis is not None:
-        spot = factors.spot(l, lights.axis, lights.beam_width, lights.cut_off_angle)
-        reaching = spot if reaching is None else reaching * spot
-    if lights.radius is not None:
-        # A sample is lit at d == radius, and never by a light of radius 0 unless it lies on it.
-        reaching = jnp.where(d <= lights.radius, 1.0 if reaching is None else reaching, 0.0)
-    return l, reaching
+        angle = stage(lambda: factors.angle_between(-l, lights.axis))
+        spot = factors.spot(angle, lights.beam_width, lights.cut_off_angle)
+    if lights.attenuation is None and spot is None and lights.radius is None:
+        return l, None
+
+    def reaching() -> Array:
+        factor = None if lights.attenuation is None else factors.attenuation(*lights.attenuation, d)
+        factor = spot if factor is None else _times(spot, factor)
+        # A sample is lit at d == radius.
+        return factor if lights.radius is None else jnp.where(d <= lights.radius, 1.0 if factor is None else factor, 0)
+
+    return l, stage(reaching)
 
 
-def lit_color(
-    material: MaterialRow,
-    diffuse_color: Float[Array, "3 #samples"],
-    kinds: list[tuple[WorldLights, LightWeights, Array | None]],
-    *,
-    emissive: bool,
-) -> Float[Array, "3 #samples"]:
-    """O_E + sum over the lights; `kinds`: lights of each kind, their weights, and which of them are in scope."""
-    color = material.emissive_color[:, None] if emissive else jnp.zeros_like(material.emissive_color)[:, None]
-    for lights, weights, in_scope in kinds:
-        direct, ambient = lights.direct, lights.ambient
-        if in_scope is not None:
-            direct = jnp.where(in_scope, direct, 0.0)
-        received = _weighted_colors(direct, weights.diffuse)
-        if weights.reaching is not None and ambient is not None:
-            ambient = ambient * material.ambient_intensity
-            if in_scope is not None:
-                ambient = jnp.where(in_scope, ambient, 0.0)
-            received = received + _weighted_colors(ambient, weights.reaching)
-        color = color + diffuse_color * received
-        if weights.specular is not None:
-            color = color + material.specular_color[:, None] * _weighted_colors(direct, weights.specular)
-    return color
+def _squares_in_range(place: Vector, tile: Geometry) -> Array:
+    """True if the squared distance of every light to every sample of the tile is a normal number, by its bounds."""
+    places = jnp.stack([component[..., 0] for component in place], axis=-1)
+    below, above = tile.low - places, places - tile.high
+    nearest = jnp.max(jnp.maximum(below, above), axis=-1)
+    farthest = jnp.max(jnp.maximum(jnp.abs(places - tile.low), jnp.abs(places - tile.high)), axis=-1)
+    safe = jnp.finfo(tile.low.dtype).max ** 0.4
+    return jnp.all((nearest > 1 / safe) & (farthest < safe))
 
 
-def _weighted_colors(colors: Float[Array, "3 lights"], weights: Array) -> Float[Array, "3 samples"]:
-    """Sum over lights of color * weight, in full precision on every backend."""
+def _times(factor: Array | None, value: Array) -> Array:
+    return value if factor is None else factor * value
+
+
+def _sum_of_colors(colors: Float[Array, "3 lights"], weights: Float[Array, "lights samples"]) -> Array:
+    """Sum over lights of color * weight, [3, samples], in full precision on every backend."""
     if colors.shape[1] == 1:
         return colors * weights
     return jnp.dot(colors, weights, precision=lax.Precision.HIGHEST)
 
 
-def fogged(color: Float[Array, "3 #samples"], fog: WorldFog, fog_type: str, view: View) -> Float[Array, "3 samples"]:
+def lit(
+    material: MaterialRow,
+    diffuse_color: Float[
+        Array,
+        (
+            3  # samples
+        ),
+    ],
+    light: Received | None,
+    *,
+    emissive: bool,
+) -> Float[
+    Array,
+    (
+        3  # samples
+    ),
+]:
+    """O_E + O_D * (ambient and diffuse light) + O_S * (specular light)."""
+    color = material.emissive_color[:, None] if emissive else jnp.zeros_like(material.emissive_color)[:, None]
+    if light is None:
+        return color
+    color = color + diffuse_color * light.diffuse
+    return color if light.specular is None else color + material.specular_color[:, None] * light.specular
+
+
+def fogged(
+    color: Float[
+        Array,
+        (
+            3  # samples
+        ),
+    ],
+    fog: WorldFog,
+    fog_type: str,
+    tile: Geometry,
+) -> Float[Array, "3 samples"]:
     """I_F (1 - f0) + f0 color, with d_V measured in the fog's coordinate system."""
-    distance = view.distance if fog.to_local is None else unit(transform(fog.to_local, view.offset))[1]
+    distance = tile.distance if fog.to_local is None else unit(transform(fog.to_local, tile.offset))[1]
     interpolant = factors.linear_fog if fog_type == "LINEAR" else factors.exponential_fog
     clear, hidden = interpolant(distance, fog.visibility_range)
     return fog.color[:, None] * hidden + clear * color

@@ -1,4 +1,4 @@
-"""Vectors as three planes, and the home of the zero vector: `unit`."""
+"""Vectors as three planes, and the home of the zero vector: `inverse_length`."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from .elementary import power_of_two_above, reciprocal_of_power_of_two
 class Vector(NamedTuple):
     """Planes x, y, z of equal (broadcastable) shape."""
 
-    x: Float[Array, "..."]
-    y: Float[Array, "..."]
-    z: Float[Array, "..."]
+    x: Float[Array, ...]
+    y: Float[Array, ...]
+    z: Float[Array, ...]
 
     def __add__(self, other: Vector) -> Vector:  # type: ignore[override]  # a vector sum, not a tuple's
         return Vector(self.x + other.x, self.y + other.y, self.z + other.z)
@@ -48,28 +48,57 @@ def transform(matrix: Float[Array, "... 3 3"], v: Vector) -> Vector:
     return Vector(*rows)
 
 
-@jax.custom_jvp
 def unit(v: Vector) -> tuple[Vector, Array]:
-    """v / |v| and |v|.
+    """v / |v| and |v|; the zero vector gives zero and 0, with derivative 0."""
+    return normalised(v, inverse_length(v))
 
-    The zero vector gives zero and 0, with derivative 0. Scaled by a power of two first, so that squares neither
-    overflow nor underflow between 1e-37 and 1e37 in float32.
+
+@jax.custom_jvp
+def normalised(v: Vector, inverse: Array) -> tuple[Vector, Array]:
+    """v / |v| and |v|, given `inverse` = 1 / |v| (or 0 for the zero vector) of this very v."""
+    u = v.scaled(inverse)
+    return u, dot(v, u)
+
+
+@normalised.defjvp
+def _normalised_jvp(primals, tangents):
+    """d|v| = u . dv;  du = (dv - u d|v|) / |v|. The change of `inverse` is part of that."""
+    (v, inverse), (dv, _) = primals, tangents
+    u, length = normalised(v, inverse)
+    along = dot(u, dv)
+    return (u, length), ((dv - u.scaled(along)).scaled(inverse), along)
+
+
+@jax.custom_jvp
+def inverse_length(v: Vector) -> Array:
+    """1 / |v|, and 0 for the zero vector.
+
+    Scaled by a power of two first, so that squares neither overflow nor underflow: in float32 right between 1e-37
+    and 1e37.
     """
     largest = jnp.maximum(jnp.maximum(jnp.abs(v.x), jnp.abs(v.y)), jnp.abs(v.z))
-    scale = power_of_two_above(largest)
-    near_one = v.scaled(reciprocal_of_power_of_two(scale))
-    squared = dot(near_one, near_one)
-    is_zero = largest == 0
-    length = jnp.sqrt(jnp.where(is_zero, 1.0, squared))
-    direction = near_one.scaled(jnp.where(is_zero, 0.0, 1.0 / length))
-    return direction, jnp.where(is_zero, 0.0, length * scale)
+    scale = reciprocal_of_power_of_two(power_of_two_above(largest))
+    return _inverse_root(v.scaled(scale)) * scale
 
 
-@unit.defjvp
-def _unit_jvp(primals, tangents):
-    """d|v| = u . dv;  du = (dv - u d|v|) / |v|."""
+@jax.custom_jvp
+def inverse_length_in_range(v: Vector) -> Array:
+    """`inverse_length`, the same to the last bit, of vectors whose squares are known to be in range."""
+    return _inverse_root(v)
+
+
+def _inverse_root(v: Vector) -> Array:
+    squared = dot(v, v)
+    is_zero = squared == 0
+    return jnp.where(is_zero, 0.0, 1.0 / jnp.sqrt(jnp.where(is_zero, 1.0, squared)))
+
+
+def _inverse_length_jvp(primals, tangents):
+    """d(1/|v|) = -(u . dv) / |v|^2"""
     (v,), (dv,) = primals, tangents
-    u, length = unit(v)
-    along = dot(u, dv)
-    inverse = jnp.where(length == 0, 0.0, 1.0 / jnp.where(length == 0, 1.0, length))
-    return (u, length), ((dv - u.scaled(along)).scaled(inverse), along)
+    inverse = inverse_length(v)
+    return inverse, -(inverse * (inverse * dot(v.scaled(inverse), dv)))
+
+
+inverse_length.defjvp(_inverse_length_jvp)
+inverse_length_in_range.defjvp(_inverse_length_jvp)

@@ -6,7 +6,10 @@ them. Lights that are off never get here: the plan leaves them out, and their fi
 
 from __future__ import annotations
 
+import dataclasses
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -37,11 +40,16 @@ class WorldLights(eqx.Module):
     beam_width: Float[Array, "lights 1"] | None
     cut_off_angle: Float[Array, "lights 1"] | None
 
+    @property
+    def count(self) -> int:
+        """How many lights."""
+        return self.direct.shape[-1]
+
 
 class WorldFog(eqx.Module):
     """The bound fog; `to_local` None: its frame measures distances as the world does."""
 
-    color: Float[Array, "3"]
+    color: Float[Array, 3]
     visibility_range: Float[Array, ""]
     to_local: Float[Array, "3 3"] | None
 
@@ -117,3 +125,18 @@ def fog_in_world(fog: Fog, plan: FogPlan, dtype: jnp.dtype) -> WorldFog:
         fog.visibility_range.astype(dtype),
         None if plan.identity_frame else fog.to_local.astype(dtype),
     )
+
+
+def in_chunks(lights: WorldLights, chunk: int) -> WorldLights:
+    """The lights in groups of `chunk`, every plane with a leading axis; the last group is filled up with black."""
+    count = lights.count
+    groups = -(-count // chunk)
+    row = jnp.minimum(jnp.arange(groups * chunk), count - 1).reshape(groups, chunk)
+    real = (jnp.arange(groups * chunk) < count).reshape(groups, chunk)
+
+    def colors(planes: Array) -> Array:
+        return jnp.where(real[:, None], jnp.moveaxis(planes[:, row], 1, 0), 0.0)
+
+    chunked = jax.tree.map(lambda plane: plane[row], lights)
+    ambient = None if lights.ambient is None else colors(lights.ambient)
+    return dataclasses.replace(chunked, direct=colors(lights.direct), ambient=ambient)
