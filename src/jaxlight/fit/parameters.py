@@ -7,7 +7,7 @@ import difflib
 import fnmatch
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -33,7 +33,8 @@ class Free:
     Args:
         where: path, function of the scene, or several of them.
         lower, upper: bounds tighter than the specification's range; a number, or one a component.
-        tied: True: all rows that `where` means share one value (component by component).
+        tied: "rows": all nodes that `where` means share one value, component by component; "all": all its numbers
+            are one number (a grey colour).
         mean, deviation: a Gaussian prior: what the value should be, and how far from it is one standard deviation.
             `mean` None: the start value.
     """
@@ -42,7 +43,7 @@ class Free:
     _: dataclasses.KW_ONLY
     lower: Any = None
     upper: Any = None
-    tied: bool = False
+    tied: Literal["rows", "all"] | None = None
     mean: Any = None
     deviation: Any = None
 
@@ -83,10 +84,14 @@ class Parameters(eqx.Module):
 
 
 class FreeField(NamedTuple):
-    """One free field as messages and reports name it; parameter `numbers[k]` is its component k."""
+    """One free field as messages and reports name it; parameter `numbers[k]` sets its component `components[k]`."""
 
     path: str
+    leaf: paths.Leaf | None
+    """None: an exposure."""
+    row: int
     labels: tuple[str, ...]
+    components: np.ndarray
     numbers: np.ndarray
     range: Range
 
@@ -97,6 +102,8 @@ class _Chosen(NamedTuple):
     path: str
     label: str
     leaf: paths.Leaf | None
+    row: int
+    component: int
     element: int
     range: Range
 
@@ -122,23 +129,26 @@ def free_parameters(
     means: list[float] = []
     precisions: list[float] = []
     taken: dict[tuple[Any, int], int] = {}
-    members: dict[str, list[tuple[str, int, Range]]] = {}
+    members: dict[str, list[tuple[_Chosen, int]]] = {}
     for request in requests:
         chosen = _choose(world, request.where, view_names)
         rows = list(dict.fromkeys(one.path for one in chosen))
-        if request.tied:
+        if request.tied not in (None, "rows", "all"):
+            raise ValueError(f"{rows[0]}: tied: expected 'rows', 'all' or None, got {request.tied!r}")
+        if request.tied == "rows":
             _check_tie(chosen, rows)
         first_of_row: dict[int, int] = {}
         seen: dict[str, int] = {}
         for one in chosen:
             component = seen[one.path] = seen.get(one.path, -1) + 1
+            tie = 0 if request.tied == "all" else component
             if (one.leaf, one.element) in taken:
                 raise ValueError(f"free: {one.label} is named twice")
             value = _value(world, one)
-            if request.tied and component in first_of_row:
-                number = first_of_row[component]
+            if request.tied and tie in first_of_row:
+                number = first_of_row[tie]
             else:
-                number = first_of_row[component] = len(values)
+                number = first_of_row[tie] = len(values)
                 low, high = _bounds(request, one, component, value)
                 mean, deviation = _prior(request, one, component, value)
                 values.append(min(max(value, low), high))
@@ -147,14 +157,22 @@ def free_parameters(
                 means.append(mean)
                 precisions.append(0.0 if deviation is None else deviation**-2)
             taken[one.leaf, one.element] = number
-            members.setdefault(one.path, []).append((one.label, number, one.range))
+            members.setdefault(one.path, []).append((one, number))
     leaves = []
     for leaf in dict.fromkeys(leaf for leaf, _ in taken):
         pairs = [(element, number) for (owner, element), number in taken.items() if owner == leaf]
         elements, numbers = (jnp.asarray(column, dtype=jnp.int32) for column in zip(*pairs, strict=True))
         leaves.append(FreeLeaf(elements, numbers, leaf))
     described = [
-        FreeField(path, tuple(m[0] for m in parts), np.array([m[1] for m in parts]), parts[0][2])
+        FreeField(
+            path,
+            parts[0][0].leaf,
+            parts[0][0].row,
+            tuple(one.label for one, _ in parts),
+            np.array([one.component for one, _ in parts]),
+            np.array([number for _, number in parts]),
+            parts[0][0].range,
+        )
         for path, parts in members.items()
     ]
     arrays = (jnp.asarray(np.array(column), dtype=dtype) for column in (values, lower, upper, means, precisions))
@@ -189,13 +207,14 @@ def _choose(world: World, where: Any, view_names: Sequence[str]) -> list[_Chosen
         wanted = mask[field.index].reshape(-1)
         if not np.any(wanted):
             continue
-        for label, element, use in zip(field.labels(world.scene), numbers.tolist(), wanted.tolist(), strict=True):
-            if use:
-                chosen.append(_Chosen(field.path, label, field.leaf, element, field.leaf.range))
+        labels, row = field.labels(world.scene), field.index[0] if field.index else 0
+        for component in np.flatnonzero(wanted).tolist():
+            label, element = labels[component], int(numbers[component])
+            chosen.append(_Chosen(field.path, label, field.leaf, row, component, element, field.leaf.range))
     for path in exposures:
         for row in _exposure_rows(path, view_names):
             name = f"View[{view_names[row] or row}].exposure"
-            chosen.append(_Chosen(name, name, None, row, paths.POSITIVE))
+            chosen.append(_Chosen(name, name, None, row, 0, row, paths.POSITIVE))
     return chosen
 
 

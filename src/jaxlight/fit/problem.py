@@ -19,6 +19,7 @@ from ..scene.paths import LIGHT_ATTRIBUTES
 from ..scene.scene import Scene
 from .parameters import FreeField, Parameters, World, free_parameters
 from .residuals import LossKind
+from .strides import UNLIMITED, Strides, stride_of
 from .views import View, ViewData, view_data
 
 
@@ -28,6 +29,7 @@ class Problem(eqx.Module):
     world: World
     """The scene and exposures at the start; fields that are not free keep these values."""
     parameters: Parameters
+    strides: Strides
     views: tuple[ViewData, ...]
     """Views of the same structure are stacked along a leading axis."""
     loss_scale: Float[Array, ""]
@@ -92,6 +94,7 @@ def make_problem(
     problem = Problem(
         world=world,
         parameters=parameters,
+        strides=_strides(scene, parameters, fields, each, dtype),
         views=_stack(data),
         loss_scale=jnp.asarray(1.0 if loss_scale is None else loss_scale, dtype=dtype),
         loss_kind=loss,
@@ -107,6 +110,24 @@ def _planned(world: World, parameters: Parameters, view: ViewData, options: Ligh
     owners = {leaf.leaf for leaf in parameters.leaves if leaf.leaf is not None}
     free = [leaf.get(scene) for leaf in owners if getattr(scene, leaf.attribute) is not None]
     return dataclasses.replace(view, plan=make_plan(scene, view.samples, options, free=free))
+
+
+def _strides(scene: Scene, parameters: Parameters, fields: list[FreeField], views: list[View], dtype: Any) -> Strides:
+    """How far each parameter may go in a step; lights are measured from the middle of what the views show."""
+    middle = np.mean([np.mean(np.asarray(view.samples.position, np.float64), axis=0) for view in views], axis=0)
+    count = len(parameters.start)
+    down, up, floor = np.full(count, np.inf), np.full(count, np.inf), np.ones(count)
+    origin, group = np.zeros(count), np.arange(count)
+    for field in fields:
+        stride = UNLIMITED if field.leaf is None else stride_of(field.leaf.field)
+        down[field.numbers], up[field.numbers], floor[field.numbers] = stride
+        group[field.numbers] = field.numbers[0]
+        if field.leaf is not None and field.leaf.field == "location":
+            lights = getattr(scene, field.leaf.attribute)
+            to_world = np.asarray(lights.to_world[field.row], np.float64)
+            local = np.linalg.solve(to_world[:, :3], middle - to_world[:, 3])
+            origin[field.numbers] = local[field.components]
+    return Strides(*(jnp.asarray(a, dtype) for a in (down, up, floor, origin)), group=jnp.asarray(group))
 
 
 def scene_of_view(world: World, view: ViewData) -> Scene:

@@ -51,6 +51,7 @@ def make_solver(problem: Problem, *, rtol: float | None = None, atol: float | No
         atol=jnp.asarray(default_atol if atol is None else atol, dtype),
         lower=parameters.lower,
         upper=parameters.upper,
+        strides=problem.strides,
     )
 
 

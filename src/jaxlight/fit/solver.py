@@ -23,6 +23,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from .box import minimise_in_box
+from .strides import Strides
 
 MAX_DAMPING = 1e8
 
@@ -45,6 +46,7 @@ class BoxDampedNewton(optx.AbstractDescent):
 
     lower: Float[Array, " n"]
     upper: Float[Array, " n"]
+    strides: Strides
 
     def init(self, y: Array, f_info_struct: Any) -> DescentState:
         zeros = jnp.zeros_like(y)
@@ -56,20 +58,23 @@ class BoxDampedNewton(optx.AbstractDescent):
         return DescentState(y, f_info.grad, curvature, scale)
 
     def step(self, step_size: Array, state: DescentState) -> tuple[Array, Any]:
-        return self._step(1 / step_size, state), optx.RESULTS.successful
+        below, above = self.strides.limits(state.point)
+        lower = jnp.maximum(self.lower, state.point + below)
+        upper = jnp.minimum(self.upper, state.point + above)
+        return self._step(1 / step_size, state, lower, upper), optx.RESULTS.successful
 
     def undamped(self, state: DescentState) -> Array:
         """The step without damping, as far as the matrix can be trusted in this precision."""
-        return self._step(jnp.zeros((), state.point.dtype), state)
+        return self._step(jnp.zeros((), state.point.dtype), state, self.lower, self.upper)
 
-    def _step(self, damping: Array, state: DescentState) -> Array:
+    def _step(self, damping: Array, state: DescentState, lower: Array, upper: Array) -> Array:
         # A column of zeros (a field that nothing depends on here) gets scale 1: its gradient is 0, so it stays.
         scale = jnp.where(state.scale > 0, state.scale, 1)
         size = scale.shape[0]
         floor = 4 * size * jnp.finfo(scale.dtype).eps
         hessian = state.curvature / (scale[:, None] * scale[None, :])
         hessian = hessian + jnp.maximum(damping, floor) * jnp.eye(size, dtype=scale.dtype)
-        lower, upper = (self.lower - state.point) * scale, (self.upper - state.point) * scale
+        lower, upper = (lower - state.point) * scale, (upper - state.point) * scale
         scaled = minimise_in_box(hessian, state.gradient / scale, jnp.minimum(lower, 0), jnp.maximum(upper, 0))
         return scaled / scale
 
@@ -147,12 +152,14 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     descent: BoxDampedNewton
     search: GainRatio
 
-    def __init__(self, rtol: Any, atol: Any, lower: Any, upper: Any, search: GainRatio | None = None) -> None:
+    def __init__(self, rtol: Any, atol: Any, lower: Any, upper: Any, strides: Strides | None = None) -> None:
         # Arrays, so that a changed tolerance compiles nothing anew.
         self.rtol, self.atol = jnp.asarray(rtol), jnp.asarray(atol)
         self.norm = optx.max_norm
-        self.descent = BoxDampedNewton(jnp.asarray(lower), jnp.asarray(upper))
-        self.search = GainRatio() if search is None else search
+        lower, upper = jnp.asarray(lower), jnp.asarray(upper)
+        strides = Strides.none(lower.shape[0], lower.dtype) if strides is None else strides
+        self.descent = BoxDampedNewton(lower, upper, strides)
+        self.search = GainRatio()
 
     def init(self, fn: Any, y: Array, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> Any:
         zero = jnp.zeros((), y.dtype)

@@ -1,0 +1,64 @@
+"""How far a field may move in one step: beyond it the linearised equation says nothing.
+
+A highlight's exponent and a light's distance act through ratios: a step that makes shininess a tenth, or throws a
+light behind the scene, lands where the picture no longer tells the way back. Within these strides nine steps replace
+twelve, and starts that ended in a wrong minimum find the right one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+
+class Stride(NamedTuple):
+    """Largest change of a field in one step, relative to its size; the size is at least `floor`."""
+
+    down: float = np.inf
+    up: float = np.inf
+    floor: float = 1.0
+
+
+UNLIMITED = Stride()
+_STRIDES = {
+    "shininess": Stride(0.5, 1.0, 0.02),
+    "visibility_range": Stride(0.5, 1.0, 1e-6),
+    "location": Stride(0.5, 0.5, 1e-6),
+    "direction": Stride(0.5, 0.5, 1e-6),
+    "beam_width": Stride(0.3, 0.3, 0.5),
+    "cut_off_angle": Stride(0.3, 0.3, 0.5),
+}
+
+
+def stride_of(field: str) -> Stride:
+    """The stride of a field of the specification."""
+    return _STRIDES.get(field, UNLIMITED)
+
+
+class Strides(eqx.Module):
+    """The strides of all parameters; a vector's components share one size, its length (from `origin`)."""
+
+    down: Float[Array, " parameters"]
+    up: Float[Array, " parameters"]
+    floor: Float[Array, " parameters"]
+    origin: Float[Array, " parameters"]
+    """Where sizes are measured from: for a light's location the middle of what it lights, else 0."""
+    group: Int[Array, " parameters"]
+    """Components of one vector have the same number."""
+
+    @classmethod
+    def none(cls, count: int, dtype: object) -> Strides:
+        """No limits."""
+        zeros, endless = jnp.zeros(count, dtype), jnp.full(count, jnp.inf, dtype)  # type: ignore[arg-type]
+        return cls(endless, endless, zeros, zeros, jnp.arange(count))
+
+    def limits(self, values: Float[Array, " parameters"]) -> tuple[Array, Array]:
+        """(lower, upper) ends of the next step, relative to the present values."""
+        squares = jax.ops.segment_sum((values - self.origin) ** 2, self.group, num_segments=values.shape[0])
+        size = jnp.maximum(jnp.sqrt(squares)[self.group], self.floor)
+        return -self.down * size, self.up * size
