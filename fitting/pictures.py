@@ -1,0 +1,48 @@
+"""What the recipes leave to look at: pictures side by side with captions, and a plain report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+CAPTION = 18
+"""Height of a caption in pixels."""
+
+
+def save_grid(path: Path, rows: Sequence[Mapping[str, np.ndarray]]) -> None:
+    """Write pictures of one size as a grid, each under its caption.
+
+    Args:
+        rows: caption -> [height, width] or [height, width, 3], numbers in [0, 1] (clamped, then rounded).
+    """
+    height, width = next(iter(rows[0].values())).shape[:2]
+    columns = max(len(row) for row in rows)
+    sheet = Image.new("RGB", (columns * width, len(rows) * (height + CAPTION)), "white")
+    draw = ImageDraw.Draw(sheet)
+    for y, row in enumerate(rows):
+        for x, (caption, picture) in enumerate(row.items()):
+            corner = (x * width, y * (height + CAPTION))
+            levels = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
+            sheet.paste(Image.fromarray(levels).convert("RGB"), (corner[0], corner[1] + CAPTION))
+            draw.text((corner[0] + 4, corner[1] + 3), caption, fill="black")
+    sheet.save(path)
+
+
+def signed(difference: np.ndarray, full: float) -> np.ndarray:
+    """A difference as colours: white where 0, red where -`full` or less, blue where `full` or more; [..., 3]."""
+    amount = np.clip(difference / full, -1, 1)[..., None]
+    return 1 - np.maximum(amount, 0) * [1.0, 0.6, 0.0] - np.maximum(-amount, 0) * [0.0, 0.6, 1.0]
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Text columns: the first to the left, the others to the right."""
+    cells = [list(head), *map(list, rows)]
+    widths = [max(len(row[column]) for row in cells) for column in range(len(head))]
+    lines = []
+    for row in cells:
+        first, *others = (cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+        lines.append("  ".join([row[0].ljust(len(first)), *others]).rstrip())
+    return "\n".join([lines[0], "-" * max(map(len, lines)), *lines[1:]])
