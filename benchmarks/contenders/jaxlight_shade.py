@@ -1,0 +1,135 @@
+"""jaxlight by its public functions: nodes to Scene, rows to SampleBuffer, `shade_planes`, JAX's transformations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlight.lighting import LightingOptions, make_plan, shade_planes
+from jaxlight.raster import SampleBuffer
+from jaxlight.scene import Scene, nodes
+
+from ..workload import Arrays, Workload
+from .base import Contender, Operation, Run, ValueAndGradient
+
+_LIGHT_NODES = {"directional": nodes.DirectionalLight, "point": nodes.PointLight, "spot": nodes.SpotLight}
+
+
+def scene_of(work: Workload, arrays: Arrays, dtype: Any, materials: int = 1) -> Scene:
+    """The workload as X3D nodes, flattened; with several materials, all of them alike, a shape each."""
+    color = None if arrays.sample_color is None else nodes.Color(color=np.ones((1, 3)))
+    shapes = []
+    for _ in range(materials):
+        material = nodes.Material(**{name: value.tolist() for name, value in arrays.material.items()})
+        shapes.append(
+            nodes.Shape(appearance=nodes.Appearance(material=material), geometry=nodes.IndexedFaceSet(color=color))
+        )
+    light_node = _LIGHT_NODES[work.kind]
+    lights = [
+        light_node(
+            **{name: rows[i].tolist() for name, rows in arrays.lights.items()}, global_=True, on=bool(arrays.on[i])
+        )
+        for i in range(work.lights)
+    ]
+    fog = (
+        nodes.Fog(color=arrays.fog_color.tolist(), visibility_range=arrays.fog_visibility, fog_type=work.fog)
+        if work.fog != "NONE"
+        else None
+    )
+    return Scene.from_nodes([*shapes, *lights, *([fog] if fog else [])], dtype=dtype)
+
+
+def samples_of(arrays: Arrays, dtype: Any, tile: int | None = None, materials: int = 1) -> SampleBuffer:
+    """The workload's samples; with several materials, each on a band of them."""
+    count = arrays.position.shape[1]
+    surface = np.arange(count) * materials // count
+    color = None if arrays.sample_color is None else arrays.sample_color.T
+    return SampleBuffer.create(
+        position=arrays.position.T,
+        normal=arrays.normal.T,
+        eye=arrays.eye,
+        color=color,
+        surface=surface,
+        dtype=dtype,
+        tile=tile,
+    )
+
+
+def free_fields(scene: Scene, kind: str) -> dict[str, Any]:
+    """The fields of the common gradient, by the names of `Arrays.parameters`, out of a Scene (or a gradient of one)."""
+    groups = {"material": scene.materials, "lights": getattr(scene, kind)}
+    return {f"{group}.{name}": value for group, node in groups.items() for name, value in vars(node).items()}
+
+
+class JaxlightShade(Contender):
+    """The library as it is called.
+
+    Args:
+        work, arrays: the workload.
+        precision: float type of scene and samples.
+        skip: False plans as if every field were free, so that nothing is skipped.
+        tile: samples a tile; None: the library's choice.
+        materials: how many Material nodes, alike, share the samples.
+        lighting: fields of LightingOptions, as pairs.
+    """
+
+    def __init__(
+        self,
+        work: Workload,
+        arrays: Arrays,
+        precision: str = "float32",
+        skip: bool = True,
+        tile: int | None = None,
+        materials: int = 1,
+        lighting: Any = (),
+    ) -> None:
+        dtype = jnp.dtype(precision)
+        # Half-precision samples are shaded with single-precision fields.
+        self._scene = scene_of(work, arrays, jnp.promote_types(dtype, jnp.float32), materials)
+        self._samples = samples_of(arrays, dtype, tile, materials)
+        self._options = LightingOptions(**dict(lighting))
+        self._skip = skip
+        self._kind = work.kind
+        self._names = list(arrays.parameters)
+        # Targets in storage order; padding weighs nothing.
+        slots = self._samples.position_planes.shape[1]
+        slot = np.arange(work.samples) if self._samples.slot is None else np.asarray(self._samples.slot)
+        target, weight = np.zeros((3, slots), np.float32), np.zeros(slots, np.float32)
+        target[:, slot], weight[slot] = arrays.target, 1
+        self._target = jnp.asarray(target, self._scene.materials.diffuse_color.dtype)
+        self._weight = None if slots == work.samples else jnp.asarray(weight, self._target.dtype)
+
+    def prepare(self, operation: Operation) -> Run:
+        wanted = operation == "value_and_gradient"
+        plan = make_plan(self._scene, self._samples, self._options, free=True if wanted or not self._skip else ())
+        if not wanted:
+            shade = jax.jit(lambda scene, samples: shade_planes(scene, samples, plan=plan))
+            compiled = shade.lower(self._scene, self._samples).compile()
+            return lambda: jax.block_until_ready(compiled(self._scene, self._samples))
+
+        free, fixed = eqx.partition(self._scene, eqx.is_inexact_array)
+
+        def loss(free: Scene, fixed: Scene, samples: SampleBuffer, target: Any, weight: Any) -> Any:
+            squared = (shade_planes(eqx.combine(free, fixed), samples, plan=plan)[:3] - target) ** 2
+            return jnp.sum(squared if weight is None else squared * weight)
+
+        arguments = (free, fixed, self._samples, self._target, self._weight)
+        compiled_gradient = jax.jit(jax.value_and_grad(loss)).lower(*arguments).compile()
+        return lambda: jax.block_until_ready(compiled_gradient(*arguments))
+
+    def colors(self, result: Any) -> np.ndarray:
+        return np.asarray(self._samples.in_sample_order(result))[:3]
+
+    def value_and_gradient(self, result: Any) -> ValueAndGradient:
+        value, gradient = result
+        fields = free_fields(gradient, self._kind)
+
+        def rows(name: str) -> np.ndarray:
+            array = np.asarray(fields[name])
+            return array.sum(axis=0) if name.startswith("material.") else array
+
+        return ValueAndGradient(float(value), {name: rows(name) for name in self._names})
