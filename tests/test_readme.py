@@ -88,3 +88,11 @@ def test_every_name_in_the_table_is_at_the_door() -> None:
     assert "shade" in names and "Camera" in names
     missing = [name for name in names if name not in jaxlight.__all__]
     assert missing == []
+
+
+def test_the_readings_name_code_that_exists() -> None:
+    references = re.findall(r"`([\w/]+\.py)::(\w+)`", (ROOT / "docs" / "readings.md").read_text())
+    assert len(references) > 20
+    for path, name in references:
+        folder = ROOT if path.startswith("tests/") else ROOT / "src" / "jaxlight"
+        assert re.search(rf"^(def|class) {name}\b", (folder / path).read_text(), re.M), f"{path}::{name}"
