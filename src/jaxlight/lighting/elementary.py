@@ -53,8 +53,6 @@ _ATAN64 = (
     -0.017919913027972984932,
 )
 _LN2_HIGH, _LN2_LOW = 0.693145751953125, 1.42860682030941723212e-6  # the first has 17 bits: k * _LN2_HIGH is exact
-_ROUND = 12582912.0  # 1.5 * 2^23: adding it rounds a float32 to an integer, found in the low bits
-_ROUND_BITS = 0x4B400000
 
 
 def polynomial(coefficients: tuple[float, ...], x: Array) -> Array:
@@ -87,25 +85,45 @@ def reciprocal_of_power_of_two(x: Float[Array, ...]) -> Float[Array, ...]:
 
 
 @jax.custom_jvp
-def exp(x: Float[Array, ...]) -> Float[Array, ...]:
+def exp(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """e^x for x <= 0; results below the smallest normal number are 0."""
     if x.dtype != jnp.float32:
         return jnp.exp(x)
-    smallest = -87.0
-    clamped = jnp.maximum(x, smallest)
-    shifted = clamped * (1 / math.log(2)) + _ROUND
-    # From the bits, not by `shifted - _ROUND`: compiled, XLA folds that back into the unrounded number.
-    k = (_bits(shifted) - _ROUND_BITS).astype(x.dtype)
-    r = (clamped - k * _LN2_HIGH) - k * _LN2_LOW
-    mantissa = 1.0 + (r + r * r * polynomial(_EXP, r))
-    scaled = _from_bits(_bits(mantissa) + (_bits(shifted) << 23), x.dtype)
-    return jnp.where(x < smallest, 0.0, scaled)
+    power_of_two, fraction = _reduced_exp(x)
+    return jnp.where(x < _LEAST, 0.0, power_of_two + power_of_two * fraction)
 
 
 @exp.defjvp
 def _exp_jvp(primals, tangents):
     value = exp(*primals)
     return value, value * tangents[0]
+
+
+@jax.custom_jvp
+def one_minus_exp(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """1 - e^x for x <= 0, accurate for small x too."""
+    if x.dtype != jnp.float32:
+        return -jnp.expm1(x)
+    power_of_two, fraction = _reduced_exp(x)
+    return (1.0 - power_of_two) - power_of_two * fraction
+
+
+@one_minus_exp.defjvp
+def _one_minus_exp_jvp(primals, tangents):
+    return one_minus_exp(*primals), -exp(*primals) * tangents[0]
+
+
+_LEAST = -87.33
+
+
+def _reduced_exp(x: Array) -> tuple[Array, Array]:
+    """2^k and f with e^x = 2^k (1 + f), |f| <= sqrt(2) - 1; x is first raised to _LEAST."""
+    x = jnp.maximum(x, _LEAST)
+    # Not rounded by adding and subtracting 1.5 * 2^23: compiled, XLA folds that away.
+    k = jnp.round(x * (1 / math.log(2)))
+    r = (x - k * _LN2_HIGH) - k * _LN2_LOW
+    power_of_two = _from_bits((k.astype(jnp.int32) + 127) << 23, x.dtype)
+    return power_of_two, r + r * r * polynomial(_EXP, r)
 
 
 def log_of_cosine(cosine: Float[Array, ...], versine: Float[Array, ...]) -> Float[Array, ...]:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .elementary import arctangent, exp, log_of_cosine
+from .elementary import arctangent, exp, log_of_cosine, one_minus_exp
 from .vectors import Vector, cross, dot
 
 _TINY = {jnp.dtype("float32"): 1e-30, jnp.dtype("float64"): 1e-280}
@@ -146,7 +146,7 @@ def exponential_fog(distance: Array, visibility: Array) -> tuple[Array, Array]:
     present, within, remaining = _fog_range(distance, visibility)
     depth = distance / remaining
     clear = jnp.where(within, exp(-depth), 0.0)
-    fogged = jnp.where(within, -jnp.expm1(-depth), 1.0)
+    fogged = jnp.where(within, one_minus_exp(-depth), 1.0)
     return jnp.where(present, clear, 1.0), jnp.where(present, fogged, 0.0)
 
 

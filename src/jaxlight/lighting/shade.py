@@ -202,18 +202,22 @@ def tile_color(run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, 
     if surface.texture >= 0 and surface.lighting != "emissive":
         weight = cut(samples.texel_weight)
         texel = sampled_texture(prepared.textures[surface.texture], tile_of(samples.texel_index, index, tile), weight)
-    base = base_color(surface, plan.options, material, vertex_color, texel)
     low, high = samples.tile_low[:, index].astype(dtype), samples.tile_high[:, index].astype(dtype)
     ground = geometry(stage, position, normal, samples.eye.astype(dtype), low, high)
-    if surface.lighting == "lit":
-        assert material is not None
-        light = _light(stage, prepared, plan, ground, material, row)
-        base = lit(material, base, light, emissive=plan.emissive)
-    if prepared.fog is not None and plan.fog is not None and (surface.lighting == "lit" or plan.options.fog_unlit):
-        base = fogged(base, prepared.fog, plan.fog.fog_type, ground)
+    is_lit = surface.lighting == "lit"
+    light = _light(stage, prepared, plan, ground, material, row) if is_lit else None
+
+    def rgb() -> Array:
+        color = base_color(surface, plan.options, material, vertex_color, texel)
+        if is_lit:
+            color = lit(material, color, light, emissive=plan.emissive)
+        if plan.fog is not None and (is_lit or plan.options.fog_unlit):
+            color = fogged(color, prepared.fog, plan.fog.fog_type, ground)
+        return jnp.broadcast_to(color, (3, tile)).astype(dtype)
+
     opacity = alpha(plan.options, material, vertex_color, texel)
     ones = jnp.ones((tile,), dtype)
-    return Color((base * ones).astype(dtype), ones if opacity is None else (opacity * ones).astype(dtype))
+    return Color(stage(rgb), ones if opacity is None else (opacity * ones).astype(dtype))
 
 
 def _material_row(prepared: Prepared, surface: Surface, row: Any, single: int | None) -> MaterialRow | None:

@@ -8,6 +8,7 @@ Samples lie along the last axis; lights along the one before.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -61,16 +62,16 @@ class Received(NamedTuple):
 def received(
     stage: Stage, lights: WorldLights, tile: Geometry, material: MaterialRow, *, specular: bool, specular_gate: bool
 ) -> Received:
-    """attenuation * spot * I_L * (ambient + diffuse + specular), summed over lights, without O_D and O_S."""
-    if lights.place is None:
-        assert lights.towards is not None
-        l, reaching = lights.towards, None
-    else:
-        l, reaching = _reaching(stage, lights, tile)
-    n_dot_l = dot(tile.normal, l)
-    facing = factors.positive_part(n_dot_l)
-    diffuse = stage(lambda: _times(reaching, facing))
-    from_diffuse = _sum_of_colors(lights.direct, diffuse)
+    """attenuation * spot * I_L * (ambient + diffuse + specular), summed over lights, without O_D and O_S.
+
+    Vectors per light are functions, evaluated anew in each stage: three planes cost more to keep than to compute.
+    """
+    l, reaching = _light_vector(stage, lights, tile)
+
+    def facing() -> Array:
+        return _times(reaching, factors.positive_part(dot(tile.normal, l())))
+
+    from_diffuse = _sum_of_colors(lights.direct, stage(facing))
     if lights.ambient is not None:
         ambient = lights.ambient * material.ambient_intensity
         if reaching is None:
@@ -79,44 +80,50 @@ def received(
             from_diffuse = from_diffuse + _sum_of_colors(ambient, reaching)
     if not specular:
         return Received(from_diffuse, None)
-    h = l + tile.to_viewer
-    inverse = stage(lambda: inverse_length_in_range(h))
-    log_cosine = stage(lambda: factors.log_cosine(tile.normal, h, inverse))
+    inverse = stage(lambda: inverse_length_in_range(l() + tile.to_viewer))
+    log_cosine = stage(lambda: factors.log_cosine(tile.normal, l() + tile.to_viewer, inverse))
 
     def highlight() -> Array:
         power = factors.highlight(log_cosine, 128.0 * material.shininess)
-        return _times(reaching, jnp.where(n_dot_l > 0, power, 0.0) if specular_gate else power)
+        return _times(reaching, jnp.where(dot(tile.normal, l()) > 0, power, 0.0) if specular_gate else power)
 
     return Received(from_diffuse, _sum_of_colors(lights.direct, stage(highlight)))
 
 
-def _reaching(stage: Stage, lights: WorldLights, tile: Geometry) -> tuple[Vector, Array | None]:
-    """L, and attenuation * spot * (within radius) of point and spot lights; None: 1."""
-    assert lights.place is not None
-    offset = lights.place - tile.position
+def _light_vector(stage: Stage, lights: WorldLights, tile: Geometry) -> tuple[Callable[[], Vector], Array | None]:
+    """L as a function, and attenuation * spot * (within radius); None: 1."""
+    if lights.place is None:
+        return lambda: lights.towards, None  # type: ignore[return-value]  # directional lights have it
+
+    def offset() -> Vector:
+        return lights.place - tile.position
+
     inverse = lax.cond(
         _squares_in_range(lights.place, tile),
-        lambda: inverse_length_in_range(offset),
-        lambda: inverse_length(offset),
+        lambda: inverse_length_in_range(offset()),
+        lambda: inverse_length(offset()),
     )
-    l, d = normalised(offset, inverse)
-    if lights.to_local is not None:
-        local = transform(lights.to_local, offset)
-        d = stage(lambda: unit(local)[1])
-    elif lights.unit_length is not None:
-        d = d / lights.unit_length
-    spot = None
+
+    def l() -> Vector:
+        return normalised(offset(), inverse)[0]
+
+    spot = distance = None
     if lights.axis is not None:
-        angle = stage(lambda: factors.angle_between(-l, lights.axis))
-        spot = factors.spot(angle, lights.beam_width, lights.cut_off_angle)
-    if lights.attenuation is None and spot is None and lights.radius is None:
-        return l, None
+        angle = stage(lambda: factors.angle_between(-l(), lights.axis))
+        spot = stage(lambda: factors.spot(angle, lights.beam_width, lights.cut_off_angle))
+    if lights.to_local is not None:
+        distance = stage(lambda: unit(transform(lights.to_local, offset()))[1])
+    if lights.attenuation is None and lights.radius is None:
+        return l, spot
 
     def reaching() -> Array:
-        factor = None if lights.attenuation is None else factors.attenuation(*lights.attenuation, d)
-        factor = spot if factor is None else _times(spot, factor)
+        d = normalised(offset(), inverse)[1] if distance is None else distance
+        if lights.unit_length is not None:
+            d = d / lights.unit_length
+        factor = jnp.ones_like(d) if lights.attenuation is None else factors.attenuation(*lights.attenuation, d)
+        factor = _times(spot, factor)
         # A sample is lit at d == radius.
-        return factor if lights.radius is None else jnp.where(d <= lights.radius, 1.0 if factor is None else factor, 0)
+        return factor if lights.radius is None else jnp.where(d <= lights.radius, factor, 0.0)
 
     return l, stage(reaching)
 
