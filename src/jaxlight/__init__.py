@@ -22,11 +22,17 @@ if TYPE_CHECKING:
     from .formats import read_image as read_image
     from .formats import save as save
     from .formats import write_image as write_image
+    from .image import compare as compare
+    from .image import decode as decode
+    from .image import encode as encode
+    from .image import render as render
     from .lighting import LightingOptions as LightingOptions
     from .lighting import shade as shade
     from .raster import Camera as Camera
+    from .raster import Orthographic as Orthographic
     from .raster import SampleBuffer as SampleBuffer
     from .raster import rasterize as rasterize
+    from .raster import samples_from_maps as samples_from_maps
     from .scene import DirectionalLights as DirectionalLights
     from .scene import Fog as Fog
     from .scene import Materials as Materials
@@ -50,8 +56,9 @@ _STAGES = {
         "nodes",
     ],
     "formats": ["SceneFileError", "SceneFileWarning", "load", "read_image", "save", "write_image"],
-    "raster": ["Camera", "SampleBuffer", "rasterize"],
+    "raster": ["Camera", "Orthographic", "SampleBuffer", "rasterize", "samples_from_maps"],
     "lighting": ["LightingOptions", "shade"],
+    "image": ["compare", "decode", "encode", "render"],
     "fit": ["Fit", "Free", "View", "fit"],
 }
 _STAGE_OF = {name: stage for stage, names in _STAGES.items() for name in names}

@@ -1,4 +1,4 @@
-"""Where the samples of a pixel lie."""
+"""Where the samples of a pixel lie, and in which order pixels are stored."""
 
 from __future__ import annotations
 
@@ -31,3 +31,11 @@ def _spread(steps: np.ndarray, g: int) -> int:
     down = steps * g % count
     down, right = np.minimum(down, count - down), np.minimum(steps, count - steps)
     return int((right**2 + down**2)[1:].min(initial=count * count))
+
+
+def morton(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Place of a pixel on the Morton (Z-order) curve: the bits of x and y in turn."""
+    code = np.zeros(len(x), dtype=np.int64)
+    for bit in range(max(int(x.max(initial=0)).bit_length(), int(y.max(initial=0)).bit_length())):
+        code |= ((x >> bit) & 1) << (2 * bit) | ((y >> bit) & 1) << (2 * bit + 1)
+    return code

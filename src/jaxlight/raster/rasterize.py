@@ -9,7 +9,7 @@ import numpy as np
 
 from ..scene import Scene, nodes
 from .camera import Camera
-from .pattern import sample_pattern
+from .pattern import morton, sample_pattern
 from .placed import PlacedTriangles
 from .samples import SampleBuffer
 from .visibility import barycentric, first_hits
@@ -56,7 +56,7 @@ def rasterize(
     hits = [_Hits.of(*first_hits(prepared, width, height, offset), width, offset) for offset in offsets.tolist()]
     seen = _Hits(*(np.concatenate(parts) for parts in zip(*hits, strict=True)))
     surface = placed.surface_of(prepared.number[seen.row])
-    order = np.lexsort((_morton(seen.x, seen.y), surface))
+    order = np.lexsort((morton(seen.x, seen.y), surface))
     seen = _Hits(*(part[order] for part in seen))
     if len(order) == 0:
         warnings.warn("rasterize: the camera sees no surface; the picture is all background", stacklevel=2)
@@ -93,14 +93,6 @@ class _Hits(NamedTuple):
     def of(cls, pixel: np.ndarray, row: np.ndarray, width: int, offset: list[float]) -> _Hits:
         y, x = np.divmod(pixel, width)
         return cls(x, y, x + offset[0], y + offset[1], row)
-
-
-def _morton(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Place of a pixel on the Morton (Z-order) curve: the bits of x and y in turn."""
-    code = np.zeros(len(x), dtype=np.int64)
-    for bit in range(max(int(x.max(initial=0)).bit_length(), int(y.max(initial=0)).bit_length())):
-        code |= ((x >> bit) & 1) << (2 * bit) | ((y >> bit) & 1) << (2 * bit + 1)
-    return code
 
 
 def _camera(scene: Scene, camera: Camera | nodes.Viewpoint | None) -> Camera:

@@ -1,0 +1,35 @@
+"""What is seen where no shape is: the sky of the scene's Background node."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..raster import SampleBuffer
+from ..scene import Scene
+
+
+def sky(scene: Scene, samples: SampleBuffer) -> Float[Array, "3"] | Float[Array, "height width 3"]:
+    """The sky behind a picture (X3D 24.4.1): one colour, or colours that change with the angle from the zenith.
+
+    The first colour stands at the zenith (+y), each further one at its `sky_angle`, the last from there to the nadir;
+    between them colours are interpolated by angle. A buffer that does not know its rays shows the zenith's colour, a
+    scene without Background black.
+
+    Returns:
+        [3], or [height, width, 3] where the colour depends on the pixel.
+    """
+    dtype = samples.position_planes.dtype
+    node = scene.document.background if scene.document is not None else None
+    if node is None or len(node.sky_color) == 0:
+        return jnp.zeros(3, dtype)
+    stops = min(len(node.sky_angle) + 1, len(node.sky_color))
+    if stops == 1 or samples.pixel_to_world is None or samples.width is None or samples.height is None:
+        return jnp.asarray(node.sky_color[0], dtype)
+    angles = np.maximum.accumulate(np.array([0.0, *node.sky_angle[: stops - 1]]))
+    u, v = jnp.arange(samples.width, dtype=dtype) + 0.5, jnp.arange(samples.height, dtype=dtype)[:, None] + 0.5
+    x, y, z = (row[0] * u + row[1] * v + row[2] for row in samples.pixel_to_world)
+    from_zenith = jnp.arctan2(jnp.hypot(x, z), y)
+    channels = [jnp.interp(from_zenith, jnp.asarray(angles, dtype), node.sky_color[:stops, i]) for i in range(3)]
+    return jnp.stack(channels, axis=-1).astype(dtype)

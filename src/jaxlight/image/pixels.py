@@ -1,0 +1,81 @@
+"""Samples to pixels: what each sample covers, over the background."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..lighting import LightingOptions, Plan, shade_planes
+from ..raster import SampleBuffer
+from ..scene import Scene
+from .background import sky
+
+
+def render(
+    scene: Scene, samples: SampleBuffer, options: LightingOptions | None = None, *, plan: Plan | None = None
+) -> Float[Array, "height width 3"]:
+    """The picture of a scene: its samples shaded, weighted by coverage and alpha, over the background's sky.
+
+    C = sum_i share_i A_i C_i + (1 - sum_i share_i A_i) C_sky over the samples i of a pixel. One layer: a transparent
+    shape shows the sky through it, not the shapes behind. Pure and differentiable, like `shade`.
+
+    Args:
+        scene: materials, lights, fog and textures.
+        samples: from `rasterize`, `samples_from_maps`, or `SampleBuffer.create` with pixels.
+        options, plan: as for `shade`.
+
+    Returns:
+        [height, width, 3], row 0 at the top; the equation's numbers, neither clamped nor encoded.
+
+    Raises:
+        ValueError: the samples do not say which pixels they belong to, or do not fit the scene.
+    """
+    _check(samples)
+    behind = sky(scene, samples)
+    if samples.count == 0:
+        return jnp.broadcast_to(behind, (samples.height, samples.width, 3))
+    shaded = shade_planes(scene, samples, options, plan=plan)
+    seen = shaded.at[:3].multiply(shaded[3])
+    picture = _resolved(seen, samples)
+    return picture[..., :3] + (1 - picture[..., 3:]) * behind
+
+
+def resolve(values: Any, samples: SampleBuffer) -> Float[Array, "height width channels"]:
+    """Sum of the samples' values in each pixel, each weighted by the share that it covers; 0 where nothing is seen.
+
+    Args:
+        values: [N] or [N, channels], in sample order.
+        samples: where they belong.
+
+    Returns:
+        [height, width, channels]; without the last axis if values had none.
+
+    Raises:
+        ValueError: a shape that does not fit, or samples without pixels.
+    """
+    _check(samples)
+    values = jnp.asarray(values)
+    if values.ndim not in (1, 2) or values.shape[0] != samples.count:
+        raise ValueError(f"resolve: expected values of shape [{samples.count}, channels], got {list(values.shape)}")
+    planes = jnp.atleast_2d(values.T)
+    slots = samples.position_planes.shape[1]
+    place = jnp.arange(samples.count) if samples.slot is None else samples.slot
+    stored = jnp.zeros((planes.shape[0], slots), planes.dtype).at[:, place].set(planes)
+    picture = _resolved(stored, samples)
+    return picture if values.ndim == 2 else picture[..., 0]
+
+
+def _resolved(planes: Array, samples: SampleBuffer) -> Array:
+    """[channels, slots] -> [height, width, channels]. Padding falls into one pixel too many, which is cut off."""
+    width, height = samples.width or 0, samples.height or 0
+    if samples.coverage_slots is not None:
+        planes = planes * samples.coverage_slots.astype(planes.dtype)
+    pixels = jnp.zeros((planes.shape[0], height * width + 1), planes.dtype).at[:, samples.pixel_slots].add(planes)
+    return jnp.moveaxis(pixels[:, :-1].reshape(-1, height, width), 0, -1)
+
+
+def _check(samples: SampleBuffer) -> None:
+    if samples.pixel_slots is None or samples.width is None or samples.height is None:
+        raise ValueError("samples: no picture to put them in; give SampleBuffer.create pixel, width and height")

@@ -1,0 +1,73 @@
+"""Maps as people have them: arrays, .npy, .npz and image files -> float64 arrays with their shape checked."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ..formats import read_image
+
+MAX_BYTES = 1 << 31
+_ARRAYS = (".npy", ".npz")
+_IMAGES_OF_NUMBERS = (".exr",)
+
+
+def map_values(what: str, value: Any) -> tuple[np.ndarray, Literal["vector", "color"]]:
+    """A map's numbers, and whether they are plain numbers or the [0, 1] of an image file.
+
+    Args:
+        what: the argument's name; also the array's in an .npz that holds several.
+        value: an array, or the path of an .npy, .npz or image file.
+
+    Raises:
+        ValueError: not numbers, a file that cannot be read, an .npz without an array of that name.
+    """
+    if not isinstance(value, (str, Path)):
+        return _numbers(what, value), "vector"
+    path = Path(value)
+    suffix = path.suffix.lower()
+    if suffix not in _ARRAYS:
+        image = read_image(path)
+        return image, "vector" if suffix in _IMAGES_OF_NUMBERS else "color"
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ValueError(f"{path}: larger than {MAX_BYTES >> 20} MiB, the most that is read")
+        content = np.load(path, allow_pickle=False)
+    except (OSError, EOFError, zipfile.BadZipFile) as error:
+        reason = getattr(error, "strerror", None) or f"not an array file: {error}"
+        raise ValueError(f"samples_from_maps: {what}: {path}: {reason}") from None
+    if suffix == ".npy":
+        return _numbers(what, content), "vector"
+    with content:
+        names = list(content.files)
+        name = what if what in names else names[0] if len(names) == 1 else None
+        if name is None:
+            raise ValueError(f"samples_from_maps: {what}: {path} holds {', '.join(names)}; none is named {what!r}")
+        return _numbers(what, content[name]), "vector"
+
+
+def fitted(what: str, array: np.ndarray, height: int, width: int, channels: int | None) -> np.ndarray:
+    """`array` as [height, width, channels], or [height, width] if `channels` is None; raises ValueError otherwise."""
+    expected = (height, width) if channels is None else (height, width, channels)
+    if channels is None and array.ndim == 3 and array.shape[2] in (1, 2, 3, 4):
+        if array.shape[2] > 2 and not np.all(array[..., :1] == array[..., :3]):
+            raise ValueError(f"samples_from_maps: {what}: expected one channel, got a colour image")
+        array = array[..., 0]
+    if channels == 3 and array.ndim == 3 and array.shape[2] == 4:
+        array = array[..., :3]
+    if array.shape != expected:
+        raise ValueError(f"samples_from_maps: {what}: expected shape {list(expected)}, got {list(array.shape)}")
+    return array
+
+
+def _numbers(what: str, value: Any) -> np.ndarray:
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind not in "fiub":
+            raise TypeError
+        return array.astype(np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"samples_from_maps: {what}: expected numbers, got {value!r:.60}") from None

@@ -1,0 +1,205 @@
+"""Samples from maps: photographs whose geometry comes from elsewhere (photometric stereo, scanners, networks)."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal
+
+import numpy as np
+
+from .camera import Camera
+from .map_values import fitted, map_values
+from .pattern import morton
+from .samples import SampleBuffer
+
+FAR = 1e6
+"""How far off the eye of an orthographic view stands, in units of the seen area's size."""
+_ENCODINGS, _FRAMES, _DEPTHS = ("vector", "color"), ("camera", "world"), ("z", "distance")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Orthographic:
+    """A view along parallel rays, as photometric stereo assumes; axes as a Camera's (x right, y up, z to the viewer).
+
+    The lighting equation has an eye point. It is put FAR (1e6) sizes of the seen area away, so that every direction to
+    the viewer is true to 1e-6 radians; only fog, which asks for that distance, has no meaning then.
+    """
+
+    pixel_size: float = 1.0
+    """Side of a pixel in units of the scene."""
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """World position that the middle of the picture shows at depth 0."""
+    rotation: np.ndarray = dataclasses.field(default_factory=lambda: np.eye(3))
+    """[3, 3], camera axes to world axes."""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.pixel_size) and self.pixel_size > 0):
+            raise ValueError(f"Orthographic.pixel_size: expected a finite number > 0, got {self.pixel_size!r}")
+        checked = Camera(np.asarray(self.center, dtype=np.float64), self.rotation, field_of_view=1.0)
+        object.__setattr__(self, "rotation", checked.rotation)
+        object.__setattr__(self, "center", tuple(checked.position.tolist()))
+
+
+def samples_from_maps(
+    normal: Any,
+    view: Camera | Orthographic,
+    *,
+    position: Any = None,
+    depth: Any = None,
+    mask: Any = None,
+    color: Any = None,
+    surface: Any = 0,
+    normal_encoding: Literal["vector", "color"] | None = None,
+    normal_frame: Literal["camera", "world"] = "camera",
+    normal_y_down: bool = False,
+    position_frame: Literal["camera", "world"] = "world",
+    depth_kind: Literal["z", "distance"] = "z",
+    texel_per_pixel: bool = False,
+    dtype: Any = None,
+) -> SampleBuffer:
+    """One sample for every pixel of maps that show a surface. Row 0 of every map is the top of the picture.
+
+    Each map is an array, or the path of an .npy, .npz (the array named as the argument, or the only one) or image file.
+
+    Args:
+        normal: [height, width, 3], any length.
+        view: where the picture was taken from; a Camera with intrinsics belongs to pictures of this size.
+        position: [height, width, 3]. Give this or `depth`.
+        depth: [height, width], or one number for all, which will do where only directional lights shine.
+        mask: [height, width], not 0 where there is a surface. Default: where normal and depth are finite and the normal
+            is not zero.
+        color: [height, width, 3 or 4], colours in the place of vertex colours.
+        surface: row in `Scene.surfaces`, one for all or [height, width].
+        normal_encoding: "vector": the numbers are components; "color": n = 2 c - 1, as colour images hold normals.
+            Default: "color" for image files other than EXR, "vector" for everything else.
+        normal_frame: axes of the normals: "camera" (x right, y up, z to the viewer) or "world".
+        normal_y_down: the map's y points down (its green channel is turned round).
+        position_frame: axes and origin of the positions; "camera" for an Orthographic view: its centre.
+        depth_kind: "z": distance from the plane of the eye (from the plane of `center` for an Orthographic view), as
+            depth cameras and renderers give it; "distance": from the eye along the ray.
+        texel_per_pixel: give each pixel the texel of its own in a texture [height, width], whose row 0 is at the
+            bottom: per-pixel unknowns (albedo) are then a texture of the scene.
+        dtype: float type of the buffer (default: JAX's).
+
+    Returns:
+        Samples in Morton order over the pixels; `pixel` counts row by row from the top left.
+
+    Raises:
+        ValueError: a shape, an option or a value (inside the mask) that does not fit; says which map and where.
+    """
+    _check_options(view, normal_encoding, normal_frame, position_frame, depth_kind, position, depth)
+    vectors, encoding = map_values("normal", normal)
+    if vectors.ndim != 3 or vectors.shape[2] not in (3, 4) or vectors.size == 0:
+        raise ValueError(f"samples_from_maps: normal: expected [height, width, 3], got {list(vectors.shape)}")
+    height, width = vectors.shape[:2]
+    vectors = vectors[..., :3]
+    if (normal_encoding or encoding) == "color":
+        vectors = 2 * vectors - 1
+    if normal_y_down:
+        vectors = vectors * [1.0, -1.0, 1.0]
+    if normal_frame == "camera":
+        vectors = vectors @ view.rotation.T
+    points = _points(view, position, depth, position_frame, depth_kind, height, width)
+
+    finite = np.all(np.isfinite(vectors), axis=2) & np.all(np.isfinite(points), axis=2)
+    if mask is None:
+        seen = finite & np.any(vectors != 0, axis=2)
+    else:
+        seen = fitted("mask", map_values("mask", mask)[0], height, width, None) != 0
+        bad = np.argwhere(seen & ~finite)
+        if len(bad):
+            row, column = bad[0]
+            raise ValueError(
+                f"samples_from_maps: {len(bad)} pixels inside the mask have a normal or a position that is not finite, "
+                f"the first at row {row}, column {column}"
+            )
+    if not np.any(seen):
+        raise ValueError("samples_from_maps: no pixel shows a surface: mask, normal and depth leave none")
+    rows, columns = np.nonzero(seen)
+    order = np.argsort(morton(columns, rows), kind="stable")
+    rows, columns = rows[order], columns[order]
+    eye = view.position if isinstance(view, Camera) else _far_eye(view, points[rows, columns])
+    texel = (height - 1 - rows) * width + columns
+    return SampleBuffer.create(
+        points[rows, columns],
+        vectors[rows, columns],
+        eye,
+        surface=_surface(surface, height, width, rows, columns),
+        color=None if color is None else _color(color, height, width)[rows, columns],
+        texel_index=np.repeat(texel[:, None], 4, axis=1) if texel_per_pixel else None,
+        texel_weight=np.tile([1.0, 0.0, 0.0, 0.0], (len(texel), 1)) if texel_per_pixel else None,
+        pixel=rows * width + columns,
+        width=width,
+        height=height,
+        camera_to_world=view.rotation,
+        pixel_to_world=view.pixel_to_world(width, height) if isinstance(view, Camera) else None,
+        dtype=dtype,
+    )
+
+
+def _points(
+    view: Camera | Orthographic,
+    position: Any,
+    depth: Any,
+    position_frame: str,
+    depth_kind: str,
+    height: int,
+    width: int,
+) -> np.ndarray:
+    """World positions [height, width, 3]."""
+    origin = np.asarray(view.position if isinstance(view, Camera) else view.center)
+    if position is not None:
+        points = fitted("position", map_values("position", position)[0], height, width, 3)
+        return points @ view.rotation.T + origin if position_frame == "camera" else points
+    away = map_values("depth", depth)[0]
+    away = np.full((height, width), float(away)) if away.ndim == 0 else fitted("depth", away, height, width, None)
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    if isinstance(view, Orthographic):
+        x, y = (u - width / 2) * view.pixel_size, (height / 2 - v) * view.pixel_size
+        return np.stack([x, y, -away], axis=-1) @ view.rotation.T + origin
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ view.pixel_to_world(width, height).T
+    if depth_kind == "distance":
+        rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore"):
+        return np.where(away[..., None] > 0, away[..., None], np.nan) * rays + origin
+
+
+def _far_eye(view: Orthographic, points: np.ndarray) -> np.ndarray:
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    return points.mean(axis=0) + view.rotation[:, 2] * FAR * max(size, view.pixel_size)
+
+
+def _surface(surface: Any, height: int, width: int, rows: np.ndarray, columns: np.ndarray) -> Any:
+    if np.ndim(surface) == 0:
+        return surface
+    numbers = np.asarray(surface)
+    if numbers.shape != (height, width) or numbers.dtype.kind not in "iu":
+        raise ValueError(
+            f"samples_from_maps: surface: expected a row of Scene.surfaces or integers of shape {[height, width]}, "
+            f"got {numbers.dtype} {list(numbers.shape)}"
+        )
+    return numbers[rows, columns]
+
+
+def _color(color: Any, height: int, width: int) -> np.ndarray:
+    colors, _ = map_values("color", color)
+    channels = 4 if colors.ndim == 3 and colors.shape[2] == 4 else 3
+    return fitted("color", colors, height, width, channels)
+
+
+def _check_options(
+    view: Any, encoding: Any, normal_frame: Any, position_frame: Any, depth_kind: Any, position: Any, depth: Any
+) -> None:
+    if not isinstance(view, (Camera, Orthographic)):
+        raise ValueError(f"samples_from_maps: view: expected a Camera or an Orthographic view, got {view!r:.60}")
+    if (position is None) == (depth is None):
+        raise ValueError("samples_from_maps: expected either position or depth (one number will do as depth)")
+    for what, value, allowed in (
+        ("normal_encoding", encoding, (None, *_ENCODINGS)),
+        ("normal_frame", normal_frame, _FRAMES),
+        ("position_frame", position_frame, _FRAMES),
+        ("depth_kind", depth_kind, _DEPTHS),
+    ):
+        if value not in allowed:
+            expected = " or ".join(repr(word) for word in allowed if word is not None)
+            raise ValueError(f"samples_from_maps: {what}: expected {expected}, got {value!r}")
