@@ -90,7 +90,7 @@ def exp(x: Float[Array, "..."]) -> Float[Array, "..."]:
     if x.dtype != jnp.float32:
         return jnp.exp(x)
     power_of_two, fraction = _reduced_exp(x)
-    return jnp.where(x < _LEAST, 0.0, power_of_two + power_of_two * fraction)
+    return jnp.where(x < _LEAST, 0.0, power_of_two * (1.0 + fraction))
 
 
 @exp.defjvp
