@@ -14,7 +14,7 @@ import oracle
 from oracle import Case, Fog, Light, Material, Sample
 from oracle.adversarial import FAMILIES, adversarial_cases, step
 from oracle.cases import random_cases, well_conditioned_cases
-from oracle.condition import condition, gradient_condition
+from oracle.condition import condition, distance, gradient_condition
 from oracle.equation import brightest, shade
 from oracle.exact import evaluate, gradient_bounds
 from oracle.fast_exact import gradients, values
@@ -221,6 +221,26 @@ def test_fast_gradients_agree_with_exact(cases: list[Case]) -> None:
             assert outside.max() < 1e-3, (show(group.paths[int(outside.max(axis=1).argmax())]), cases[place])
             judged += 1
     assert judged > 0.4 * len(cases)
+
+
+def test_fast_bounds_at_kinks_agree_with_exact() -> None:
+    cases = adversarial_cases(SEED, 300, ("grazing_light", "spot_edge", "attenuation_one", "fog_edge"))
+    intervals = 0
+    for group in gradients(cases, 32):
+        assert group.condition is not None
+        for row in np.flatnonzero(group.differentiable):
+            case = cases[group.index[row]]
+            first = evaluate(case, 1)
+            exact = gradient_bounds(case, lambda d, case=case, first=first: distance(d, case, first) < 16)
+            for i, path in enumerate(group.paths):
+                for c, (low, high) in enumerate(exact.get(path, ((mpf(0), mpf(0)),) * 4)):
+                    ends = np.array([group.low[row, i, c], group.high[row, i, c]])
+                    allowed = output_ulp(ends, 32).max() * group.condition[row, i, c]
+                    allowed = 1e-3 * allowed
+                    assert abs(group.low[row, i, c] - wide(low)) <= allowed, (show(path), case)
+                    assert abs(group.high[row, i, c] - wide(high)) <= allowed, (show(path), case)
+                    intervals += low != high
+    assert intervals > 1000
 
 
 def test_fast_gradient_conditions_agree_with_exact() -> None:

@@ -177,7 +177,8 @@ def fogged(tape: FastTape, fog: Fog, color: Vector) -> Vector:
         slopes = sum_slopes(tape.length_slopes(offset), visibility.gradient)
         within = tape.decide("kink", margin.value, slopes, name="fog.range", where=present)
         inverse = visibility.map_value(np.where(present, visibility.value, WIDE(1))).reciprocal()
-        f0, lost = margin * inverse, d * inverse
+        lost = d * inverse
+        f0 = (1 - lost).map_value(margin.value * inverse.value)  # each with all its digits
     else:
         exponent = -(d * margin.map_value(np.where(within, margin.value, WIDE(1))).reciprocal())
         f0, lost = exp(exponent), -exp_minus_one(exponent)

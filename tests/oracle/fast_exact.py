@@ -7,6 +7,7 @@ Cases may come in any order and of any shape; those of one shape are computed to
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -44,7 +45,8 @@ class Gradients:
     """Of n cases of one shape: derivatives by P inputs of 4 channels.
 
     `index` [n]: their places in the list that was given; `paths` (P); `low` and `high` [n, P, 4] (longdouble): the
-    lowest and highest right derivative, equal but for kinks within 16 ulp; `condition` [n, P, 4] or None.
+    lowest and highest right derivative, equal but for kinks within 16 ulp; `condition` [n, P, 4], the worst of both
+    sides of a kink, or None.
     """
 
     index: np.ndarray
@@ -60,11 +62,11 @@ class Gradients:
         return (self.distances["jump"] >= MIN_DISTANCE) & (self.distances["cone"] >= MIN_DISTANCE)
 
     def error_in_ulp(self, computed: Any, precision: int) -> np.ndarray:
-        """How far derivatives [n, P, 4] lie outside low ... high, in ulp of the nearer end; infinite if not finite."""
+        """How far derivatives [n, P, 4] lie outside low ... high, in ulp of the larger; infinite if not finite."""
         computed = np.asarray(computed, dtype=WIDE)
+        ulp = np.maximum(output_ulp(self.low, precision), output_ulp(self.high, precision))
         with np.errstate(invalid="ignore"):
-            below = (self.low - computed) / output_ulp(self.low, precision)
-            above = (computed - self.high) / output_ulp(self.high, precision)
+            below, above = (self.low - computed) / ulp, (computed - self.high) / ulp
         return np.where(np.isfinite(computed), np.maximum(np.maximum(below, above), 0), np.inf)
 
 
@@ -86,21 +88,49 @@ def values(cases: Sequence[Case], precision: int = 32, *, conditioning: bool = T
 
 def gradients(cases: Sequence[Case], precision: int = 32, *, conditioning: bool = True) -> Iterator[Gradients]:
     """Derivatives (with their bounds at kinks) and their conditions, chunk by chunk of cases of one shape."""
-    for index, columns in _chunks(cases, 2 if conditioning else 1):
-        tape = FastTape(columns, 2 if conditioning else 1, precision)
+    order = 2 if conditioning else 1
+    for index, columns in _chunks(cases, order):
+        tape = FastTape(columns, order, precision)
         channels = _run(tape)
         base = _gradient(channels, columns)
         low, high = base.copy(), base.copy()
-        for name, distance in tape.kinks.items():
-            if np.any(distance < MIN_DISTANCE):
-                other = _run(FastTape(columns, 1, precision, flip=name, flip_within=MIN_DISTANCE))
-                change = _gradient(other, columns) - base
-                low += np.minimum(change, 0)
-                high += np.maximum(change, 0)
-        condition = None
-        if conditioning:
-            condition = _condition(_gradient_moved(channels, columns, precision), base, precision)
+        condition = _gradient_condition(channels, columns, base, precision) if conditioning else None
+        for group in _independent_kinks(tape.kinks):
+            down, up = np.zeros_like(base), np.zeros_like(base)
+            for flip in _sides(group):
+                channels = _run(FastTape(columns, order, precision, flip, MIN_DISTANCE))
+                side = _gradient(channels, columns)
+                down, up = np.minimum(down, side - base), np.maximum(up, side - base)
+                if condition is not None:
+                    condition = np.maximum(condition, _gradient_condition(channels, columns, side, precision))
+            low, high = low + down, high + up
         yield Gradients(index, columns.paths, low, high, condition, tape.distances)
+
+
+def _independent_kinks(kinks: dict[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
+    """By name, in which cases [n] a kink is near; grouped by lights, whose effects add up."""
+    near = {name: distance < MIN_DISTANCE for name, distance in kinks.items()}
+    near = {name: where for name, where in near.items() if np.any(where)}
+    if "fog.range" in near:
+        return [near]  # the fog's factor joins all lights
+    lights: dict[str, dict[str, np.ndarray]] = {}
+    for name, where in near.items():
+        lights.setdefault(name.split(".")[0], {})[name] = where
+    return list(lights.values())
+
+
+def _sides(near: dict[str, np.ndarray]) -> list[frozenset[str]]:
+    """Every choice of kinks to turn over that some case needs: the non-empty subsets of those near to it."""
+    names = list(near)
+    patterns = np.unique(np.stack([near[name] for name in names], axis=1), axis=0)
+    found = {
+        frozenset(subset)
+        for pattern in patterns
+        for chosen in [[name for name, is_near in zip(names, pattern, strict=True) if is_near]]
+        for size in range(1, len(chosen) + 1)
+        for subset in itertools.combinations(chosen, size)
+    }
+    return sorted(found, key=sorted)
 
 
 def shape_of(case: Case) -> tuple:
@@ -165,17 +195,19 @@ def _moved(columns: Columns, base: np.ndarray, precision: int) -> np.ndarray:
     return total
 
 
-def _gradient_moved(channels: tuple[Dual, ...], columns: Columns, precision: int) -> np.ndarray:
-    """[n, P, 4]: how far each derivative moves, to first order."""
+def _gradient_condition(
+    channels: tuple[Dual, ...], columns: Columns, gradient: np.ndarray, precision: int
+) -> np.ndarray:
+    """[n, P, 4]: how far each derivative moves, to first order, in its ulp."""
     ulps = input_ulp(columns.values, precision)
-    out = np.zeros((len(columns.paths), 4, columns.count), dtype=WIDE)
+    moved = np.zeros((len(columns.paths), 4, columns.count), dtype=WIDE)
     for c, channel in enumerate(channels):
         for (i, j), second in (channel.hessian or {}).items():
             size = np.abs(second)
-            out[i, c] += size * ulps[j]
+            moved[i, c] += size * ulps[j]
             if i != j:
-                out[j, c] += size * ulps[i]
-    return out.transpose(2, 0, 1)
+                moved[j, c] += size * ulps[i]
+    return _condition(moved.transpose(2, 0, 1), gradient, precision)
 
 
 def _condition(moved: np.ndarray, value: np.ndarray, precision: int) -> np.ndarray:

@@ -42,10 +42,17 @@ class FastTape:
     """One evaluation over columns.
 
     `distances[kind]` is, a case, the distance in ulp of the nearest decision of that kind (orders 1 and 2 only).
-    `flip`: the name of a kink whose decision is turned over in the cases that are closer to it than `flip_within`.
+    `flip`: names of kinks whose decisions are turned over in the cases that are closer to them than `flip_within`.
     """
 
-    def __init__(self, columns: Columns, order: int, precision: int, flip: str | None = None, flip_within: float = 0.0):
+    def __init__(
+        self,
+        columns: Columns,
+        order: int,
+        precision: int,
+        flip: frozenset[str] = frozenset(),
+        flip_within: float = 0.0,
+    ):
         self.columns, self.order = columns, order
         self.flip, self.flip_within = flip, flip_within
         self.case = columns.template
@@ -92,7 +99,7 @@ class FastTape:
         self.distances[kind] = np.minimum(self.distances[kind], distance)
         if kind == "kink":
             self.kinks[name] = distance
-            if name == self.flip:
+            if name in self.flip:
                 positive = positive ^ (distance < self.flip_within)
         return positive
 
