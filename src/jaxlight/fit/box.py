@@ -9,20 +9,29 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 
+class BoxMinimum(NamedTuple):
+    """The point found, and whether the conditions of a minimum hold there to rounding."""
+
+    point: Float[Array, " n"]
+    solved: Bool[Array, ""]
+
+
 class _State(NamedTuple):
     point: Float[Array, " n"]
     round: Int[Array, ""]
-    done: Bool[Array, ""]
+    solved: Bool[Array, ""]
+    stuck: Bool[Array, ""]
 
 
 def minimise_in_box(
     hessian: Float[Array, "n n"], gradient: Float[Array, " n"], lower: Float[Array, " n"], upper: Float[Array, " n"]
-) -> Float[Array, " n"]:
+) -> BoxMinimum:
     """argmin of 1/2 z^T H z + g^T z subject to lower <= z <= upper, for H positive definite and well scaled.
 
     Projected Newton (Bertsekas 1982): hold the variables that press against a bound, solve for the others, follow the
     projected path and keep the best of a few points on it; the first bound met on the way is always among them, so
-    the quadratic falls in every round and the set of held variables settles after a few.
+    the quadratic falls in every round and the set of held variables settles after a few. Where H is singular to the
+    precision at hand, the round falls back to the steepest descent; the point is then still an improvement.
 
     Args:
         hessian: H, unit diagonal or larger.
@@ -32,7 +41,6 @@ def minimise_in_box(
     eps = jnp.finfo(gradient.dtype).eps
     size = gradient.shape[0]
     fractions = 0.5 ** jnp.arange(8, dtype=gradient.dtype)
-    enough = 4 * eps * jnp.max(jnp.abs(gradient))
 
     def slope(point: Array) -> Array:
         return jnp.matmul(hessian, point, precision="highest") + gradient
@@ -43,7 +51,8 @@ def minimise_in_box(
     def improve(state: _State) -> _State:
         point, grad = state.point, slope(state.point)
         held = ((point <= lower) & (grad > 0)) | ((point >= upper) & (grad < 0))
-        move = jnp.where(held, 0, _solve_free(hessian, -grad, ~held))
+        move = _solve_free(hessian, -grad, ~held)
+        move = jnp.where(held, 0, jnp.where(jnp.all(jnp.isfinite(move)), move, -grad))
         room = jnp.where(move > 0, upper - point, lower - point)
         limit = jnp.min(jnp.where(move != 0, room / jnp.where(move != 0, move, 1), jnp.inf))
         lengths = jnp.concatenate([fractions, jnp.minimum(limit, 1)[None]])
@@ -53,10 +62,12 @@ def minimise_in_box(
         better = values[best] < value(point)
         point = jnp.where(better, trials[best], point)
         left = jnp.clip(point - slope(point), lower, upper) - point
-        return _State(point, state.round + 1, ~better | (jnp.max(jnp.abs(left)) <= enough))
+        rounding = 8 * eps * (jnp.max(jnp.abs(gradient)) + size * jnp.max(jnp.abs(point)))
+        return _State(point, state.round + 1, jnp.max(jnp.abs(left)) <= rounding, ~better)
 
-    start = _State(jnp.zeros_like(gradient), jnp.array(0), jnp.array(False))
-    return jax.lax.while_loop(lambda s: ~s.done & (s.round < 4 * size + 8), improve, start).point
+    start = _State(jnp.zeros_like(gradient), jnp.zeros((), jnp.int32), jnp.array(False), jnp.array(False))
+    end = jax.lax.while_loop(lambda s: ~s.solved & ~s.stuck & (s.round < 4 * size + 8), improve, start)
+    return BoxMinimum(end.point, end.solved)
 
 
 def _solve_free(matrix: Array, right: Array, free: Array) -> Array:

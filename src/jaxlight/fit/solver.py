@@ -61,22 +61,22 @@ class BoxDampedNewton(optx.AbstractDescent):
         below, above = self.strides.limits(state.point)
         lower = jnp.maximum(self.lower, state.point + below)
         upper = jnp.minimum(self.upper, state.point + above)
-        return self._step(1 / step_size, state, lower, upper), optx.RESULTS.successful
+        return self._step(1 / step_size, state, lower, upper)[0], optx.RESULTS.successful
 
-    def undamped(self, state: DescentState) -> Array:
-        """The step without damping, as far as the matrix can be trusted in this precision."""
+    def undamped(self, state: DescentState) -> tuple[Array, Array]:
+        """The step without damping, as far as the matrix can be trusted in this precision; and whether it is exact."""
         return self._step(jnp.zeros((), state.point.dtype), state, self.lower, self.upper)
 
-    def _step(self, damping: Array, state: DescentState, lower: Array, upper: Array) -> Array:
+    def _step(self, damping: Array, state: DescentState, lower: Array, upper: Array) -> tuple[Array, Array]:
         # A column of zeros (a field that nothing depends on here) gets scale 1: its gradient is 0, so it stays.
         scale = jnp.where(state.scale > 0, state.scale, 1)
         size = scale.shape[0]
-        floor = 4 * size * jnp.finfo(scale.dtype).eps
+        floor = size * jnp.finfo(scale.dtype).eps
         hessian = state.curvature / (scale[:, None] * scale[None, :])
         hessian = hessian + jnp.maximum(damping, floor) * jnp.eye(size, dtype=scale.dtype)
         lower, upper = (lower - state.point) * scale, (upper - state.point) * scale
         scaled = minimise_in_box(hessian, state.gradient / scale, jnp.minimum(lower, 0), jnp.maximum(upper, 0))
-        return scaled / scale
+        return scaled.point / scale, scaled.solved
 
 
 class SearchState(NamedTuple):
@@ -198,9 +198,11 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         def accepted(_: None) -> tuple[Any, ...]:
             loss, gradient, curvature = model_at(trial, args)
             descent_state = self.descent.query(trial, _model(loss, gradient, curvature), state.descent_state)
-            remaining = self.descent.undamped(descent_state)
+            remaining, exact = self.descent.undamped(descent_state)
             achievable = -jnp.vdot(remaining, gradient + curvature @ remaining / 2, precision="highest")
             step_norm = self.norm(remaining / (self.atol + self.rtol * jnp.abs(trial))).astype(trial.dtype)
+            # Only an exact step can say that there is nothing left to do.
+            achievable, step_norm = jnp.where(exact, achievable, jnp.inf), jnp.where(exact, step_norm, jnp.inf)
             return trial, loss, gradient, curvature, descent_state, achievable, step_norm
 
         def rejected(_: None) -> tuple[Any, ...]:
