@@ -1,7 +1,9 @@
-"""X3D files -> nodes: every node and field, DEF and USE, defaults of the versions, what is skipped and how it is said."""
+"""X3D files -> nodes: every node and field, DEF and USE, defaults of versions, what is skipped and how that is said."""
 
 from __future__ import annotations
 
+import base64
+import io
 import math
 import warnings
 from pathlib import Path
@@ -9,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from x3d_text import only_node, read_text, x3d
 
 from jaxlight import Scene, SceneFileError, SceneFileWarning, load
 from jaxlight.formats import read_nodes
 from jaxlight.scene import nodes as n
 from jaxlight.scene.nodes import nodes_equal
+from x3d_text import only_node, read_text, x3d
 
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
 POINTS = "<Coordinate point='0 0 0, 1 0 0, 0 1 0'/>"
@@ -129,7 +131,8 @@ NODES = [
         n.PointLight(name="key", attenuation=(1, 2, 3), global_=False, location=(1, 2, 3), radius=7),
     ),
     (
-        "<SpotLight attenuation='0 0 1' beamWidth='.3' cutOffAngle='.6' direction='0 1 0' location='1 2 3' radius='9'/>",
+        "<SpotLight attenuation='0 0 1' beamWidth='.3' cutOffAngle='.6' direction='0 1 0'"
+        " location='1 2 3' radius='9'/>",
         n.SpotLight(
             attenuation=(0, 0, 1), beam_width=0.3, cut_off_angle=0.6, direction=(0, 1, 0), location=(1, 2, 3), radius=9
         ),
@@ -241,7 +244,8 @@ def test_one_warning_counts_and_names_what_is_skipped(tmp_path: Path) -> None:
             "<ProtoDeclare name='P'><ProtoBody><Group><TimeSensor/></Group></ProtoBody></ProtoDeclare>"
             "<TimeSensor/><TimeSensor/><Script><field name='x'/></Script><Inline url='x.x3d'/>"
             "<Shape><Text/><MetadataString/></Shape><ROUTE fromNode='a'/>"
-            "<Shape><Appearance><Material><ImageTexture containerField='diffuseTexture'/></Material></Appearance></Shape>"
+            "<Shape><Appearance><Material><ImageTexture containerField='diffuseTexture'/></Material></Appearance>"
+            "</Shape>"
         )
     )
     text = one_warning(path)
@@ -256,7 +260,8 @@ def test_groups_that_are_simplified_are_named(tmp_path: Path) -> None:
     path = tmp_path / "scene.x3d"
     path.write_text(
         x3d(
-            "<Anchor><Fog visibilityRange='1'/></Anchor><Billboard/><Collision><Shape containerField='proxy'/><Group/></Collision>"
+            "<Anchor><Fog visibilityRange='1'/></Anchor><Billboard/>"
+            "<Collision><Shape containerField='proxy'/><Group/></Collision>"
             "<LOD><MetadataSet/><Group DEF='near'/><Group DEF='far'/></LOD><Group USE='far'/><StaticGroup/>"
             "<LayerSet activeLayer='2'><Layer><Fog/></Layer><Layer><Viewpoint/></Layer></LayerSet>"
         )
@@ -303,9 +308,9 @@ def test_use_of_a_node_inside_a_skipped_one(tmp_path: Path) -> None:
     path = tmp_path / "scene.x3d"
     path.write_text(
         x3d(
-            "<Shape><IndexedLineSet DEF='lines'><Coordinate DEF='points' point='0 0 0 1 0 0 0 1 0'/></IndexedLineSet></Shape>"
-            "<Shape><IndexedLineSet USE='lines'/></Shape><Shape><TriangleSet><Coordinate USE='points'/></TriangleSet></Shape>"
-            "<Group USE='lines'/>"
+            "<Shape><IndexedLineSet DEF='lines'><Coordinate DEF='points' point='0 0 0 1 0 0 0 1 0'/>"
+            "</IndexedLineSet></Shape><Shape><IndexedLineSet USE='lines'/></Shape><Group USE='lines'/>"
+            "<Shape><TriangleSet><Coordinate USE='points'/></TriangleSet></Shape>"
         )
     )
     with pytest.warns(SceneFileWarning, match="Group USE='lines' x1"):
@@ -417,7 +422,9 @@ def test_entities_are_refused(tmp_path: Path, text: str) -> None:
 
 def test_a_document_type_is_not_fetched(tmp_path: Path) -> None:
     path = tmp_path / "scene.x3d"
-    path.write_text('<!DOCTYPE X3D PUBLIC "ISO//Web3D//DTD X3D 3.3//EN" "http://127.0.0.1:9/x.dtd">\n<X3D><Scene/></X3D>')
+    path.write_text(
+        '<!DOCTYPE X3D PUBLIC "ISO//Web3D//DTD X3D 3.3//EN" "http://127.0.0.1:9/x.dtd">\n<X3D><Scene/></X3D>'
+    )
     assert load(path).document.shapes == ()
 
 
@@ -461,7 +468,9 @@ def test_nesting_through_use_is_limited(tmp_path: Path) -> None:
 
 def test_doubling_through_use_is_limited(tmp_path: Path) -> None:
     path = tmp_path / "bomb.x3d"
-    doubling = "".join(f"<Group DEF='g{i}'><Group USE='g{i - 1}'/><Group USE='g{i - 1}'/></Group>" for i in range(1, 60))
+    doubling = "".join(
+        f"<Group DEF='g{i}'><Group USE='g{i - 1}'/><Group USE='g{i - 1}'/></Group>" for i in range(1, 60)
+    )
     path.write_text(x3d("<Group DEF='g0'><Shape/></Group>" + doubling))
     with pytest.raises(SceneFileError, match="more than 1000000 placed nodes"):
         load(path)
@@ -535,9 +544,9 @@ def test_textures_that_cannot_be_had_are_absent_and_named(tmp_path: Path, url: s
 
 
 def test_a_texture_in_the_address_itself(tmp_path: Path) -> None:
-    url = (
-        "data:image/png;base64,iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR4nGP4z8AAAAMBAQDJ/pLvAAAAAElFTkSuQmCC"
-    )
+    content = io.BytesIO()
+    Image.new("RGB", (1, 1), (255, 0, 0)).save(content, "PNG")
+    url = f"data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}"
     texture = texture_of(tmp_path / "scene.x3d", f'"{url}"')
     assert texture.image is not None and texture.image.tolist() == [[[1, 0, 0]]]
 

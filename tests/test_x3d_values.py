@@ -39,7 +39,7 @@ def test_words_that_are_no_numbers_are_refused_by_name(word: str, filler: str) -
 @pytest.mark.parametrize("filler", ["", " 0" * 600], ids=["word by word", "all at once"])
 def test_integers_may_be_hexadecimal_and_must_be_whole(filler: str) -> None:
     assert values.parse_integers("0xFF -1 007" + filler)[:3].tolist() == [255, -1, 7]
-    with pytest.raises(ValueError, match="'1.5' is not an integer"):
+    with pytest.raises(ValueError, match=r"'1\.5' is not an integer"):
         values.parse_integers("1.5" + filler)
     with pytest.raises(ValueError, match="too large"):
         values.parse_integers("0xFFFFFFFFFFFFFFFFFF" + filler)

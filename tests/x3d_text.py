@@ -12,7 +12,8 @@ from jaxlight.scene.nodes import Node
 def x3d(scene: str, version: str | None = "3.3", head: str = "") -> str:
     """A document that holds `scene`; the scene starts on line 3."""
     attribute = f" version='{version}'" if version else ""
-    return f"<?xml version='1.0' encoding='UTF-8'?>\n<X3D profile='Immersive'{attribute}>{head}<Scene>\n{scene}\n</Scene></X3D>\n"
+    start = f"<?xml version='1.0' encoding='UTF-8'?>\n<X3D profile='Immersive'{attribute}>{head}<Scene>"
+    return f"{start}\n{scene}\n</Scene></X3D>\n"
 
 
 def read_text(folder: Path, scene: str, version: str | None = "3.3", head: str = "") -> ReadScene:

@@ -104,7 +104,7 @@ def _changed_rows(rows: tuple[Any, ...], group: Any) -> Iterator[tuple[nodes.Nod
             if headlight and own[-1] == len(rows) - 1:
                 raise ValueError(f"save: {where} changed, but the headlight is the browser's: no file can hold it; "
                                  "give the scene a DirectionalLight")  # fmt: skip
-            if not all(np.array_equal(leaf[row], leaf[own[0]]) for row in own):
+            if any(not np.array_equal(leaf[row], leaf[own[0]], equal_nan=True) for row in own[1:]):
                 raise ValueError(f"save: {where}: the node is used {len(own)} times (USE) and its values now differ")
             yield node, field, _field_value(leaf[own[0]], before[own[0]])
 

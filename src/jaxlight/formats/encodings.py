@@ -21,7 +21,7 @@ _NOT_YET = (
     (rb"#VRML", "VRML 1.0 (.wrl)"),
     (rb"#X3D", "X3D in its classic VRML encoding (.x3dv)"),
     (rb"\xe0\x00\x00\x01|<\?xml[^>]*encoding=['\"]finf['\"]|\$EXI|PK\x03\x04", "binary X3D (.x3db) or an archive"),
-    (rb"(?is)(<!--.*?-->|\s|<\?xml[^>]*\?>)*<(!doctype\s+)?html\b", "X3D inside an HTML page"),
+    (rb"(?is)(?:<!--.*?-->|\s|<\?xml[^>]*\?>)*+<(!doctype\s+)?html\b", "X3D inside an HTML page"),
     (rb"\s*\{[^\0]{0,4000}?\"X3D\"", "X3D in its JSON encoding (.x3dj, .json)"),
     (rb"\s*\{[^\0]{0,4000}?\"(asset|scenes|accessors)\"", "glTF with separate files (.gltf); pack it as .glb"),
 )

@@ -47,7 +47,7 @@ def read_mesh(path: Path, data: bytes, file_format: Format) -> tuple[tuple[nodes
     try:
         with _heard(notes):
             loaded = trimesh.load_scene(io.BytesIO(data), file_type=file_format, resolver=resolver, process=False)
-            builder = _MeshBuilder(path, notes, loaded, materials)
+            builder = _MeshBuilder(path, notes, loaded, materials, is_gltf=file_format == "glb")
             children = nested_transforms(str(loaded.graph.base_frame), loaded.graph.to_edgelist(), builder.shape)
     except SceneFileError:
         raise
@@ -61,10 +61,13 @@ def read_mesh(path: Path, data: bytes, file_format: Format) -> tuple[tuple[nodes
 class _MeshBuilder:
     """Makes one Shape a geometry of a trimesh scene; materials and textures that several use are one node."""
 
-    def __init__(self, path: Path, notes: ReadNotes, scene: Any, gltf_materials: list[dict[str, Any]]) -> None:
+    def __init__(
+        self, path: Path, notes: ReadNotes, scene: Any, gltf_materials: list[dict[str, Any]], *, is_gltf: bool
+    ) -> None:
         self._path = path
         self._notes = notes
         self._geometry = scene.geometry
+        self._gltf = is_gltf
         self._gltf_materials = gltf_materials
         self._textures = TextureReader(ResourceFolder(path))
         self._shapes: dict[str, nodes.Shape | None] = {}
@@ -78,7 +81,8 @@ class _MeshBuilder:
             if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
                 appearance, solid = self._appearance(mesh)
                 geometry = _face_set(mesh, solid=solid)
-                self._shapes[name] = nodes.Shape(appearance=appearance, geometry=geometry, name=name)
+                label = name if self._gltf else ""  # of other formats the name is made up
+                self._shapes[name] = nodes.Shape(appearance=appearance, geometry=geometry, name=label)
             else:
                 self._notes.skipped[f"{type(mesh).__name__} without triangles"] += 1
                 self._shapes[name] = None
@@ -120,9 +124,9 @@ class _MeshBuilder:
         if image is None:
             return None
         if id(image) not in self._images:
-            url = str(image.info.get("file_path", ""))
+            url = _file_of(str(image.info.get("file_path", "")))
             try:
-                pixels = self._textures.first([_file_of(url)])[0] if url else np.flipud(pixels_of(image, self._path))
+                pixels = self._textures.first([url])[0] if url else np.flipud(pixels_of(image, self._path))
                 pixels = pixels[:, :, : pixels.shape[2] - 1] if opaque and pixels.shape[2] in (2, 4) else pixels
                 self._images[id(image)] = nodes.ImageTexture(image=pixels, url=(url,) if url else ())
             except Exception as error:  # Pillow says in many ways that an image is damaged

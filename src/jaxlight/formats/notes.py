@@ -11,6 +11,7 @@ from pathlib import Path
 from .errors import SceneFileWarning
 
 _MOST_NAMED = 12
+_LONGEST = 200
 
 
 @dataclasses.dataclass
@@ -62,7 +63,11 @@ def _counted(counts: collections.Counter[str]) -> str:
     return _listed(f"{name} x{count}" for name, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
 
+def _short(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]}...{text[-_LONGEST // 2 :]}"
+
+
 def _listed(items: Iterable[str]) -> str:
     items = list(items)
     hidden = len(items) - _MOST_NAMED
-    return ", ".join(items[:_MOST_NAMED]) + (f" and {hidden} more" if hidden > 0 else "")
+    return ", ".join(_short(item) for item in items[:_MOST_NAMED]) + (f" and {hidden} more" if hidden > 0 else "")

@@ -142,18 +142,19 @@ class _Reader:
     def _use(self, element: Element) -> nodes.Node | None:
         """The node that was DEFined with this name before."""
         name = element.attributes["USE"]
+        shown = name[:60]
         if name in self._set_aside:
             if self._detours >= _MAX_DETOURS:
-                raise self._error(element, f"USE='{name}': too many skipped nodes use one another")
+                raise self._error(element, f"USE='{shown}': too many skipped nodes use one another")
             self._detours += 1
             original = self._set_aside.pop(name)
             self._defined[name] = self._read(original) if _is_known(original) else None
             self._detours -= 1
         if name not in self._defined:
-            raise self._error(element, f"USE='{name}': no node before this one has DEF='{name}'")
+            raise self._error(element, f"USE='{shown}': no node before this one has DEF='{shown}'")
         node = self._defined[name]
         if node is None:
-            self.notes.skipped[f"{element.tag} USE='{name}'"] += 1
+            self.notes.skipped[f"{element.tag} USE='{shown}'"] += 1
         return node
 
     def _make(self, element: Element, made: list[tuple[Element, nodes.Node | None]]) -> nodes.Node:

@@ -91,7 +91,9 @@ def _at_once(text: str, dtype: Any, alphabet: bytes) -> np.ndarray | None:
         return None
     inside = np.frombuffer(raw, dtype=np.uint8) != ord(" ")
     words = int(inside[0]) + int(np.count_nonzero(inside[1:] & ~inside[:-1]))
-    return values if len(values) == words else None
+    if len(values) != words or (dtype is np.int64 and np.abs(values.astype(np.float64)).max() >= 2**63):
+        return None
+    return values
 
 
 def _shown(text: str) -> str:

@@ -24,6 +24,10 @@ _TAIL = """  </Scene>
 """
 _ALWAYS = {"SpotLight": {"beamWidth", "cutOffAngle"}}
 """Fields whose default depends on the version of X3D, so that readers may not agree on it."""
+_ADDRESSED = {
+    "DirectionalLight", "Fog", "ImageTexture", "Material", "PixelTexture", "PointLight", "SpotLight",
+}  # fmt: skip
+"""Nodes whose fields are addressed by their name (`Material[body].diffuse_color`)."""
 
 
 def write_x3d(children: Iterable[nodes.Node]) -> bytes:
@@ -93,7 +97,10 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 def _def_names(roots: tuple[nodes.Node, ...]) -> dict[nodes.Node, str]:
-    """DEF names: the nodes' own, made unique, and new ones for nameless nodes that appear more than once."""
+    """DEF names: the nodes' own, made unique, and new ones for nameless nodes that appear more than once.
+
+    Of two nodes with one name, the one whose fields can be fitted keeps it.
+    """
     order: dict[nodes.Node, int] = {}
     stack = list(reversed(roots))
     while stack:
@@ -104,8 +111,8 @@ def _def_names(roots: tuple[nodes.Node, ...]) -> dict[nodes.Node, str]:
     taken = {node.name for node in order}
     names: dict[nodes.Node, str] = {}
     given: set[str] = set()
-    for node, count in order.items():
-        name = node.name
+    for node in sorted(order, key=lambda node: type(node).__name__ not in _ADDRESSED):
+        name, count = node.name, order[node]
         if name in given or (not name and count > 1):
             stem, number = name or type(node).__name__, 2 if name else 1
             while f"{stem}_{number}" in taken:

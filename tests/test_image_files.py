@@ -1,0 +1,194 @@
+"""Image files <-> arrays: rows, components, depths, limits, and errors that say what is wrong."""
+
+from __future__ import annotations
+
+import builtins
+import os
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxlight import SceneFileError, read_image, write_image
+
+
+def test_rows_start_at_the_top_and_values_lie_in_the_unit_interval(tmp_path: Path) -> None:
+    pixels = np.array([[[255, 0, 0], [0, 51, 0]]], dtype=np.uint8).repeat(2, axis=0)
+    pixels[1] = 102
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    image = read_image(tmp_path / "a.png")
+    assert image.dtype == np.float64
+    assert image.tolist() == [[[1, 0, 0], [0, 0.2, 0]], [[0.4] * 3] * 2]
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("components", [1, 2, 3, 4])
+def test_png_comes_back_exactly(tmp_path: Path, components: int, bits: int) -> None:
+    if bits == 16 and components > 1:
+        pytest.importorskip("OpenImageIO")
+    rng = np.random.default_rng(components)
+    image = rng.integers(0, 2**bits, (5, 4, components)) / (2**bits - 1)
+    write_image(tmp_path / "a.png", image, bits=bits)
+    again = read_image(tmp_path / "a.png")
+    assert again.shape == image.shape
+    assert np.array_equal(np.rint(again * (2**bits - 1)), np.rint(image * (2**bits - 1)))
+    assert np.allclose(again, image, atol=1e-7, rtol=0)
+
+
+def test_writing_rounds_and_clamps(tmp_path: Path) -> None:
+    write_image(tmp_path / "a.png", np.array([[-1, 0.5, 100.4 / 255, 100.6 / 255, 7]]))
+    assert np.rint(read_image(tmp_path / "a.png")[0, :, 0] * 255).tolist() == [0, 128, 100, 101, 255]
+
+
+def test_exr_holds_any_number(tmp_path: Path) -> None:
+    pytest.importorskip("OpenImageIO")
+    image = np.array([[[1e-5, 2, -3], [1000, 0, 0.1]]], dtype=np.float32)
+    write_image(tmp_path / "a.exr", image)
+    assert np.array_equal(read_image(tmp_path / "a.exr"), image)
+
+
+def test_jpeg_is_close_and_has_no_alpha(tmp_path: Path) -> None:
+    ramp = np.linspace(0, 1, 32)[None, :, None] * np.ones((32, 1, 3))
+    write_image(tmp_path / "a.jpg", ramp)
+    assert np.abs(read_image(tmp_path / "a.jpg") - ramp).max() < 4 / 255
+    with pytest.raises(ValueError, match="JPEG has no alpha"):
+        write_image(tmp_path / "a.jpg", np.zeros((2, 2, 4)))
+
+
+@pytest.mark.parametrize(("mode", "components"), [("1", 1), ("L", 1), ("LA", 2), ("P", 3), ("RGB", 3), ("CMYK", 3)])
+def test_modes_become_components(tmp_path: Path, mode: str, components: int) -> None:
+    suffix = "tif" if mode == "CMYK" else "png"
+    Image.new(mode, (3, 2)).save(tmp_path / f"a.{suffix}")
+    assert read_image(tmp_path / f"a.{suffix}").shape == (2, 3, components)
+
+
+def test_a_transparent_palette_color_is_alpha(tmp_path: Path) -> None:
+    image = Image.new("P", (1, 1))
+    image.putpalette([10, 20, 30])
+    image.save(tmp_path / "a.png", transparency=0)
+    assert np.rint(read_image(tmp_path / "a.png") * 255).tolist() == [[[10, 20, 30, 0]]]
+
+
+def test_a_cameras_rotation_mark_is_obeyed(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[274] = 6  # turn clockwise to view
+    Image.fromarray(np.array([[0, 255]], dtype=np.uint8)).save(tmp_path / "a.png", exif=exif)
+    assert read_image(tmp_path / "a.png").tolist() == [[[0]], [[1]]]
+
+
+def png_of_size(width: int, height: int) -> bytes:
+    """A PNG that announces a size and holds no such data."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"\0" * 100)) + chunk(b"IEND", b"")
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "not an image"),
+        (b"hello", "not an image"),
+        (png_of_size(100_000, 100_000), "pixels; at most|not an image"),
+        (png_of_size(10, 10), "not an image|damaged"),
+        (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 1 1\n", "not an image"),
+    ],
+)
+def test_files_that_are_no_images(tmp_path: Path, content: bytes, message: str) -> None:
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(SceneFileError, match=message) as caught:
+        read_image(tmp_path / "a.png")
+    assert str(caught.value).startswith(str(tmp_path / "a.png"))
+
+
+def test_damaged_images_give_nothing_but_the_error(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    refused = 0
+    for suffix in ("png", "jpg", "gif", "bmp", "tif", "webp"):
+        path = tmp_path / f"a.{suffix}"
+        Image.fromarray(rng.integers(0, 256, (16, 16, 3)).astype(np.uint8)).save(path)
+        whole = path.read_bytes()
+        for _ in range(40):
+            damaged = bytearray(whole[: rng.integers(1, len(whole) + 1)])
+            for place in rng.integers(0, len(damaged), 3):
+                damaged[place] = rng.integers(0, 256)
+            path.write_bytes(bytes(damaged))
+            try:
+                assert read_image(path).ndim == 3
+            except SceneFileError:
+                refused += 1
+    assert refused > 100
+
+
+def test_files_that_are_not_there(tmp_path: Path) -> None:
+    with pytest.raises(SceneFileError, match="no such file"):
+        read_image(tmp_path / "none.png")
+
+
+@pytest.mark.parametrize(
+    ("name", "image", "options", "message"),
+    [
+        ("a.png", np.zeros((2, 2, 5)), {}, r"expected \[height, width, 1 to 4 components\], got shape \[2, 2, 5\]"),
+        ("a.png", np.zeros(3), {}, r"got shape \[3\]"),
+        ("a.png", np.zeros((0, 2)), {}, r"got shape \[0, 2, 1\]"),
+        ("a.png", np.full((2, 2), np.nan), {}, "NaN in 4 pixels"),
+        ("a.bmp", np.zeros((2, 2)), {}, "ends in .png"),
+        ("a.png", np.zeros((2, 2)), {"bits": 12}, "got bits=12"),
+        ("a.jpg", np.zeros((2, 2)), {"bits": 16}, "got bits=16"),
+    ],
+)
+def test_what_cannot_be_written(
+    tmp_path: Path, name: str, image: np.ndarray, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        write_image(tmp_path / name, image, **options)
+    assert os.listdir(tmp_path) == []
+
+
+def test_without_openimageio_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real_import = builtins.__import__
+
+    def without(name: str, *args: Any, **options: Any) -> Any:
+        if name == "OpenImageIO":
+            raise ImportError(name)
+        return real_import(name, *args, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    header = struct.pack(">IIBBBBB", 1, 1, 16, 2, 0, 0, 0)
+    (tmp_path / "deep.png").write_bytes(b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + header + b"\0" * 20)
+    (tmp_path / "a.exr").write_bytes(b"\x76\x2f\x31\x01" + b"\0" * 20)
+    for name in ("deep.png", "a.exr"):
+        with pytest.raises(ImportError, match=r"needs OpenImageIO: pip install 'jaxlight\[exr\]'"):
+            read_image(tmp_path / name)
+    with pytest.raises(ImportError, match=r"jaxlight\[exr\]"):
+        write_image(tmp_path / "b.exr", np.zeros((2, 2, 3)))
+    assert not (tmp_path / "b.exr").exists()
+
+
+def test_16_bit_color_is_not_multiplied_by_alpha(tmp_path: Path) -> None:
+    pytest.importorskip("OpenImageIO")
+    image = np.array([[[1.0, 0.5, 0.25, 0.5], [1, 1, 1, 0]]])
+    write_image(tmp_path / "a.png", image, bits=16)
+    assert np.allclose(read_image(tmp_path / "a.png"), image, atol=1e-5)
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_image(tmp_path / "a.png", np.zeros((2, 2)))
+    before = (tmp_path / "a.png").read_bytes()
+
+    def fails(*_: Any, **__: Any) -> None:
+        raise OSError("disk full")
+
+    monkeypatch.setattr(Image.Image, "save", fails)
+    with pytest.raises(OSError, match="disk full"):
+        write_image(tmp_path / "a.png", np.ones((2, 2)))
+    assert (tmp_path / "a.png").read_bytes() == before
+    assert os.listdir(tmp_path) == ["a.png"]

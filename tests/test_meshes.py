@@ -1,0 +1,341 @@
+"""Mesh files -> shapes: geometry, normals, colours, materials and hierarchy kept; nothing read from elsewhere."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from trimesh.visual.material import PBRMaterial
+
+from jaxlight import Scene, SceneFileError, SceneFileWarning, load, save
+from jaxlight.formats import read_nodes
+from jaxlight.formats.mesh_graph import transform_from_matrix
+from jaxlight.formats.mesh_materials import material_from_gltf, material_from_mtl
+from jaxlight.scene import nodes as n
+from jaxlight.scene.nodes import nodes_equal
+from jaxlight.scene.transforms import transform_matrix
+
+OBJ = """mtllib box.mtl
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+v 0 0 1
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0 1
+vt 0.5 0.5
+usemtl red
+f 1/1 2/2 3/3
+f 1/5 3/3 4/4
+usemtl blue
+f 1/1 2/2 5/5
+"""
+MTL = """newmtl red
+Ka 0.2 0.1 0
+Kd 0.8 0.4 0
+Ks 0.25 0.5 1
+Ke 0.1 0 0
+Ns 32
+d 0.75
+illum 2
+map_Kd -s 1 1 1 red.png
+map_bump bumps.png
+newmtl blue
+Kd 0 0 1
+Tr 0.5
+"""
+
+
+def shapes_of(path: Path) -> list[n.Shape]:
+    return [placed.node for placed in load(path).document.shapes]
+
+
+def triangles(geometry: n.Node) -> np.ndarray:
+    """[triangles, 3 corners, xyz] of a face set."""
+    assert isinstance(geometry, n.IndexedFaceSet) and geometry.coord is not None
+    faces = geometry.coord_index.reshape(-1, 4)
+    assert np.all(faces[:, 3] == -1)
+    return geometry.coord.point[faces[:, :3]]
+
+
+@pytest.fixture
+def obj(tmp_path: Path) -> Path:
+    (tmp_path / "box.obj").write_text(OBJ)
+    (tmp_path / "box.mtl").write_text(MTL)
+    Image.fromarray(np.array([[[255, 0, 0]], [[0, 255, 0]]], dtype=np.uint8)).save(tmp_path / "red.png")
+    return tmp_path / "box.obj"
+
+
+def test_obj_with_materials_texture_and_seams(obj: Path) -> None:
+    with pytest.warns(SceneFileWarning, match="mtl map_bump x1"):
+        red, blue = sorted(shapes_of(obj), key=lambda shape: shape.appearance.material.name, reverse=True)  # type: ignore[union-attr]
+    assert red.appearance is not None and blue.appearance is not None
+    material = red.appearance.material
+    assert material is not None and material.name == "red"
+    assert material.diffuse_color == (0.8, 0.4, 0)
+    assert material.specular_color == (0.25, 0.5, 1)
+    assert material.emissive_color == (0.1, 0, 0)
+    assert material.shininess == 32 / 128
+    assert material.transparency == 0.25
+    assert material.ambient_intensity == pytest.approx(0.25)
+    assert red.appearance.texture is not None and red.appearance.texture.image is not None
+    assert red.appearance.texture.image.tolist() == [[[0, 1, 0]], [[1, 0, 0]]]  # row 0 is the bottom
+    geometry = red.geometry
+    assert isinstance(geometry, n.IndexedFaceSet)
+    expected = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]])
+    assert np.array_equal(triangles(geometry), expected)
+    assert len(geometry.coord.point) == 4  # type: ignore[union-attr]  # the seam does not split the surface
+    corners = geometry.tex_coord_index.reshape(-1, 4)[:, :3]
+    uv = geometry.tex_coord.point[corners]  # type: ignore[union-attr]
+    assert np.array_equal(uv, [[[0, 0], [1, 0], [1, 1]], [[0.5, 0.5], [1, 1], [0, 1]]])
+    assert blue.appearance.material is not None
+    assert (blue.appearance.material.diffuse_color, blue.appearance.material.transparency) == ((0, 0, 1), 0.5)
+    assert blue.appearance.texture is None
+
+
+@pytest.mark.filterwarnings("ignore::jaxlight.SceneFileWarning")
+def test_what_an_obj_names_is_read_from_its_folder_only(obj: Path, tmp_path: Path) -> None:
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    for reference in ("../box.mtl", str(tmp_path / "box.mtl"), "http://127.0.0.1:9/box.mtl"):
+        (inside / "a.obj").write_text(OBJ.replace("box.mtl", reference))
+        with pytest.warns(SceneFileWarning, match=r"outside the scene's folder|is an address"):
+            (shape,) = shapes_of(inside / "a.obj")[:1]
+        assert nodes_equal(shape.appearance, n.Appearance(material=n.Material()))
+    (inside / "a.obj").write_text(OBJ)
+    (inside / "box.mtl").write_text(MTL.replace("-s 1 1 1 red.png", "../red.png"))
+    with pytest.warns(SceneFileWarning, match="'../red.png' is outside the scene's folder"):
+        assert all(shape.appearance.texture is None for shape in shapes_of(inside / "a.obj"))  # type: ignore[union-attr]
+
+
+def test_a_missing_material_library_is_said(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text(OBJ)
+    with pytest.warns(SceneFileWarning, match="'box.mtl': no such file"):
+        load(tmp_path / "a.obj")
+
+
+@pytest.mark.parametrize("file_type", ["ply", "stl", "stl_ascii"])
+def test_ply_and_stl(tmp_path: Path, file_type: str) -> None:
+    box = trimesh.creation.box(extents=(1, 2, 3))
+    content = box.export(file_type=file_type)
+    path = tmp_path / f"box.{file_type[:3]}"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    (shape,) = shapes_of(path)
+    assert isinstance(shape.geometry, n.IndexedFaceSet) and shape.geometry.coord is not None
+    assert len(shape.geometry.coord.point) == 8
+    assert np.allclose(triangles(shape.geometry), box.triangles)
+    assert not shape.geometry.solid
+    assert shape.geometry.crease_angle == pytest.approx(np.pi / 3)
+    assert nodes_equal(shape.appearance, n.Appearance(material=n.Material()))
+
+
+def test_normals_of_a_file_are_kept(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    assert ball.vertex_normals.shape == ball.vertices.shape
+    (tmp_path / "ball.ply").write_bytes(ball.export(file_type="ply", vertex_normal=True))
+    (shape,) = shapes_of(tmp_path / "ball.ply")
+    assert isinstance(shape.geometry, n.IndexedFaceSet) and shape.geometry.normal is not None
+    assert np.allclose(shape.geometry.normal.vector, ball.vertex_normals, atol=1e-6)
+
+
+@pytest.mark.parametrize("alpha", [255, 128])
+def test_vertex_colors_are_kept_with_alpha_if_any_is_not_one(tmp_path: Path, alpha: int) -> None:
+    box = trimesh.creation.box()
+    colors = np.random.default_rng(0).integers(0, 256, (8, 4)).astype(np.uint8)
+    colors[:, 3] = alpha
+    box.visual = trimesh.visual.ColorVisuals(box, vertex_colors=colors)
+    (tmp_path / "box.ply").write_bytes(box.export(file_type="ply"))
+    (shape,) = shapes_of(tmp_path / "box.ply")
+    color = shape.geometry.color  # type: ignore[union-attr]
+    assert type(color) is (n.Color if alpha == 255 else n.ColorRGBA)
+    expected = colors[:, : color.color.shape[1]] / 255
+    assert np.array_equal(color.color, expected)
+
+
+def test_face_colors_are_kept(tmp_path: Path) -> None:
+    text = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    text += "element face 2\nproperty list uchar int vertex_indices\nproperty uchar red\nproperty uchar green\n"
+    text += "property uchar blue\nend_header\n0 0 0\n1 0 0\n0 1 0\n1 1 0\n3 0 1 2 255 0 0\n3 1 3 2 0 0 255\n"
+    (tmp_path / "faces.ply").write_text(text)
+    (shape,) = shapes_of(tmp_path / "faces.ply")
+    assert isinstance(shape.geometry, n.IndexedFaceSet) and not shape.geometry.color_per_vertex
+    assert shape.geometry.color.color.tolist() == [[1, 0, 0], [0, 0, 1]]  # type: ignore[union-attr]
+
+
+# --- glTF -----------------------------------------------------------------------------------------------------------
+
+
+def rewritten(glb: bytes, change: object) -> bytes:
+    """The glb with its JSON header changed by a function."""
+    length = struct.unpack_from("<I", glb, 12)[0]
+    header = json.loads(glb[20 : 20 + length])
+    change(header)  # type: ignore[operator]
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 4)
+    rest = glb[20 + length :]
+    return struct.pack("<4s4I", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
+
+
+MATRIX = trimesh.transformations.compose_matrix(
+    scale=[1, 2, -3], angles=[0.1, 0.2, 0.3], translate=[1, 2, 3], shear=[0.1, 0.2, 0]
+)
+
+
+@pytest.fixture
+def glb() -> bytes:
+    box = trimesh.creation.box()
+    pixels = Image.fromarray(np.array([[[255, 0, 0, 255]], [[0, 255, 0, 0]]], dtype=np.uint8))
+    material = PBRMaterial(name="red", baseColorFactor=[255, 0, 0, 255], baseColorTexture=pixels)
+    box.visual = trimesh.visual.TextureVisuals(uv=np.random.default_rng(0).random((8, 2)), material=material)
+    scene = trimesh.Scene()
+    turn = trimesh.transformations.rotation_matrix(np.pi, [1, 1, 0])
+    scene.add_geometry(box, node_name="a", geom_name="box", transform=MATRIX)
+    scene.graph.update(frame_from="a", frame_to="b", matrix=turn, geometry="box")
+    scene.add_geometry(trimesh.creation.icosphere(subdivisions=1), node_name="c", geom_name="ball")
+    return scene.export(file_type="glb")
+
+
+def test_gltf_hierarchy_is_kept(tmp_path: Path, glb: bytes) -> None:
+    (tmp_path / "a.glb").write_bytes(glb)
+    read = read_nodes(tmp_path / "a.glb")
+    (outer,) = [node for node in read.children if isinstance(node, n.Transform)]
+    assert outer.name == "a"
+    assert any(isinstance(child, n.Transform) and child.name == "b" for child in outer.children)
+    scene = Scene.from_nodes(read.children)
+    expected = trimesh.load_scene(tmp_path / "a.glb")
+    placed = {tuple(np.round(shape.to_world.ravel(), 6)) for shape in scene.document.shapes}
+    wanted = {tuple(np.round(expected.graph[name][0][:3].ravel(), 6)) for name in expected.graph.nodes_geometry}
+    assert placed == wanted
+
+
+def test_gltf_materials_are_exact_shared_and_named(tmp_path: Path, glb: bytes) -> None:
+    def change(header: dict) -> None:
+        header["materials"][0]["pbrMetallicRoughness"] |= {
+            "baseColorFactor": [0.123456789, 0.5, 0.25, 0.5],
+            "metallicFactor": 0.0,
+            "roughnessFactor": 0.5,
+        }
+
+    (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
+    scene = load(tmp_path / "a.glb")
+    (red,) = [node for node in scene.document.materials if node.name == "red"]
+    assert red.diffuse_color == (0.123456789, 0.5, 0.25)
+    assert red.transparency == 0  # alphaMode is OPAQUE
+    assert red.shininess == pytest.approx((2 / 0.5**4 - 2) / 128)
+    (texture,) = scene.document.textures
+    assert texture.image is not None
+    assert texture.image.tolist() == [[[0, 1, 0]], [[1, 0, 0]]]  # opaque: without alpha; row 0 is the bottom
+    boxes = [placed.node for placed in scene.document.shapes if placed.node.appearance.texture]  # type: ignore[union-attr]
+    assert len(boxes) == 2
+    assert boxes[0] is boxes[1]
+    assert boxes[0].geometry.solid  # type: ignore[union-attr]  # not doubleSided
+
+
+def test_gltf_alpha_and_double_sides(tmp_path: Path, glb: bytes) -> None:
+    def change(header: dict) -> None:
+        header["materials"][0] |= {"alphaMode": "BLEND", "doubleSided": True}
+        header["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [1, 1, 1, 0.25]
+
+    (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
+    scene = load(tmp_path / "a.glb")
+    (box,) = {placed.node.geometry for placed in scene.document.shapes if placed.node.appearance.texture}  # type: ignore[union-attr]
+    assert not box.solid  # type: ignore[union-attr]
+    assert next(node for node in scene.document.materials if node.name == "red").transparency == 0.75
+    assert scene.document.textures[0].image.shape == (2, 1, 4)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda h: h.update(extensionsRequired=["KHR_draco_mesh_compression"]), "needs the glTF extension KHR_draco"),
+        (lambda h: h["accessors"][0].update(count=10**12), "announces more than"),
+        (lambda h: h.update(materials=[1]), "malformed glTF header"),
+        (lambda h: h.update(scenes=[{"nodes": []}]), "holds no triangles"),
+        (lambda h: h["nodes"][0].update(matrix=[0] * 16), "none 0"),
+    ],
+)
+def test_damaged_gltf_headers_are_errors(tmp_path: Path, glb: bytes, change: object, message: str) -> None:
+    (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
+    with pytest.raises(SceneFileError, match=message):
+        load(tmp_path / "a.glb")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.obj", b"not a mesh", "holds no triangles|not a obj file"),
+        ("a.stl", b"solid x", "holds no triangles|not a stl file"),
+        ("a.ply", b"ply\nformat ascii 1.0\nend_header\n", "holds no triangles|not a ply file"),
+        ("a.glb", b"glTF\x02\x00\x00\x00", "truncated"),
+        ("a.ply", b"v 0 0 0", "the content is not .ply"),
+    ],
+)
+def test_files_that_are_no_meshes(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(SceneFileError, match=message):
+        load(tmp_path / name)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_every_matrix_that_can_be_inverted_becomes_a_transform(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    matrix = np.eye(4)
+    turn = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
+    half_turn = trimesh.transformations.rotation_matrix(np.pi, rng.normal(size=3))[:3, :3]
+    linear = [
+        rng.normal(size=(3, 3)),  # any: rotation, stretch and shear, half of them mirrored
+        turn @ np.diag(rng.normal(size=3)),
+        half_turn,
+        np.diag([-1.0, 1.0, 1.0]),
+        turn * 1e-6,
+    ][seed % 5]
+    matrix[:3, :3], matrix[:3, 3] = linear, rng.normal(size=3)
+    transform = transform_from_matrix(matrix)
+    assert np.allclose(transform_matrix(transform), matrix[:3], atol=1e-9 * np.abs(linear).max(), rtol=1e-9)
+    if seed % 5 in (1, 2, 4):
+        assert transform.scale_orientation == (0, 0, 1, 0)
+
+
+def test_mtl_rules_at_their_edges() -> None:
+    plain = material_from_mtl("m", {}, 1.0)
+    assert nodes_equal(plain, n.Material(name="m"))
+    shiny = material_from_mtl("m", {"ns": 500.0, "kd": [2, 0, 0], "ks": 0.5, "illum": ["1"], "ka": [9, 9, 9]}, 500.0)
+    assert shiny.shininess == 1
+    assert shiny.diffuse_color == (1, 0, 0)
+    assert shiny.specular_color == (0, 0, 0)  # illum 1 has no highlights
+    assert shiny.ambient_intensity == 1
+    garbage = material_from_mtl("m", {"kd": ["spectral", "x.rfl"], "ks": [float("nan")] * 3, "d": ["-halo", "1"]}, 1.0)
+    assert nodes_equal(garbage, n.Material(name="m"))
+
+
+def test_gltf_rules_at_their_edges() -> None:
+    rough = material_from_gltf("m", {"pbrMetallicRoughness": {"metallicFactor": 0.0}}, see_through=False)
+    assert rough.diffuse_color == (1, 1, 1)
+    assert (rough.specular_color, rough.shininess) == ((0, 0, 0), 0)
+    mirror = {"pbrMetallicRoughness": {"roughnessFactor": 0.0, "baseColorFactor": [0.5, 0.25, 0, 1]}}
+    metal = material_from_gltf("m", mirror, see_through=True)
+    assert metal.diffuse_color == (0, 0, 0)
+    assert (metal.specular_color, metal.shininess) == ((1, 1, 0), 1)
+    assert metal.transparency == 0
+
+
+@pytest.mark.filterwarnings("ignore::jaxlight.SceneFileWarning")
+def test_a_mesh_saved_as_x3d_comes_back(obj: Path, glb: bytes, tmp_path: Path) -> None:
+    (tmp_path / "a.glb").write_bytes(glb)
+    for path in (obj, tmp_path / "a.glb"):
+        scene = load(path)
+        save(scene, tmp_path / "saved.x3d")
+        again = load(tmp_path / "saved.x3d")
+        assert len(again.document.shapes) == len(scene.document.shapes)
+        for ours, theirs in zip(scene.document.shapes, again.document.shapes, strict=True):
+            assert np.allclose(ours.to_world, theirs.to_world, atol=1e-12)
+            assert nodes_equal(ours.node.geometry, theirs.node.geometry)
+        assert nodes_equal(scene.document.materials, again.document.materials)
+        assert np.array_equal(scene.textures[0].image, again.textures[0].image)

@@ -1,0 +1,384 @@
+"""Scenes -> X3D files: only what changed changes, every number comes back, and nothing is ever half written."""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxlight import Scene, load, read_image, save
+from jaxlight.scene import nodes as n
+from jaxlight.scene.nodes import nodes_equal
+from x3d_text import x3d
+
+SCENE = """<!-- a "comment" with <Material diffuseColor='9 9 9'/> -->
+<Transform translation='0 1 0'>
+  <Shape DEF='ball'>
+    <Appearance>
+      <Material   DEF='body'
+          diffuseColor="0.1 0.2 0.3"	shininess = '0.5' transparency='0.25'/>
+    </Appearance>
+    <Sphere/>
+  </Shape>
+</Transform>
+<![CDATA[ <Material/> ]]>
+<PointLight DEF='key' location='1 2 3'/><SpotLight DEF='lamp' beamWidth='0.3' cutOffAngle='0.6'></SpotLight>
+<Fog color='0.5 0.5 0.5' visibilityRange='10'/>
+<Script><![CDATA[ if (a < b && c > "d") return '<PointLight/>'; ]]></Script>
+"""
+
+
+def quietly(path: Path) -> Scene:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return load(path)
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    path = tmp_path / "source.x3d"
+    path.write_text(x3d(SCENE))
+    return path
+
+
+def with_values(scene: Scene, **changes: object) -> Scene:
+    """The scene with leaves replaced: `materials__diffuse_color=...`."""
+    for name, value in changes.items():
+        group, field = name.split("__")
+
+        def leaf(s: Scene, group: str = group, field: str = field) -> object:
+            return getattr(getattr(s, group), field)
+
+        old = leaf(scene)
+        scene = eqx.tree_at(leaf, scene, jnp.asarray(value, dtype=old.dtype))  # type: ignore[attr-defined]
+    return scene
+
+
+def test_only_the_changed_attributes_change(source: Path, tmp_path: Path) -> None:
+    scene = with_values(
+        quietly(source),
+        materials__diffuse_color=[[0.1, 0.7, 0.3]],
+        materials__specular_color=[[0.25, 0.5, 1]],
+        point__intensity=[0.125],
+        spot__cut_off_angle=[0.75],
+        fog__visibility_range=20.0,
+    )
+    save(scene, tmp_path / "out.x3d")
+    expected = (
+        x3d(SCENE)
+        .replace('"0.1 0.2 0.3"', '"0.1 0.7 0.3"')
+        .replace("transparency='0.25'/>", "transparency='0.25' specularColor='0.25 0.5 1'/>")
+        .replace("location='1 2 3'/>", "location='1 2 3' intensity='0.125'/>")
+        .replace("cutOffAngle='0.6'", "cutOffAngle='0.75'")
+        .replace("visibilityRange='10'", "visibilityRange='20'")
+    )
+    assert (tmp_path / "out.x3d").read_text() == expected
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "iso-8859-1", "cp1252"])
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_encoding_and_line_ends_stay(tmp_path: Path, encoding: str, newline: str) -> None:
+    declared = encoding.removesuffix("-sig")
+    text = x3d("<!-- ä ö ü -->" + SCENE).replace("UTF-8", declared).replace("\n", newline)
+    path = tmp_path / "source.x3d"
+    path.write_bytes(text.encode(encoding))
+    save(with_values(quietly(path), materials__shininess=[0.75]), path)
+    assert path.read_bytes() == text.replace("shininess = '0.5'", "shininess = '0.75'").encode(encoding)
+
+
+def test_a_document_type_with_an_internal_subset_is_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "source.x3d"
+    head = """<!DOCTYPE X3D PUBLIC "a-b" 'c>d' [ <!-- ' ]> <Material> --> <!ATTLIST Shape x CDATA "]> Sphere>"> ]>"""
+    path.write_text(f"{head}\n<X3D><Scene><Fog visibilityRange='1'/></Scene></X3D>")
+    save(with_values(load(path), fog__visibility_range=2.0), path)
+    assert path.read_text() == f"{head}\n<X3D><Scene><Fog visibilityRange='2'/></Scene></X3D>"
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_every_number_comes_back_to_the_last_bit(source: Path, dtype: type) -> None:
+    rng = np.random.default_rng(3)
+    with jax.enable_x64(True):
+        scene = load_as(source, dtype)
+        colors = rng.random((1, 3)).astype(dtype)
+        changed = with_values(scene, materials__diffuse_color=colors, point__location=rng.normal(size=(1, 3)) * 1e-5)
+        save(changed, source)
+        again = load_as(source, dtype)
+        for a, b in zip(jax.tree.leaves(changed), jax.tree.leaves(again), strict=True):
+            assert a.dtype == dtype
+            assert np.array_equal(a, b)
+
+
+def load_as(path: Path, dtype: type) -> Scene:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return load(path, dtype=dtype)
+
+
+def test_numbers_that_a_leaf_only_rounds_keep_their_digits(tmp_path: Path) -> None:
+    text = x3d("<PointLight location='0.123456789012 1 2' color='0.3333333333333333 0 0'/>")
+    path = tmp_path / "source.x3d"
+    path.write_text(text)
+    scene = load_as(path, np.float32)
+    save(with_values(scene, point__location=[[0.123456789012, 1, 3]]), path)
+    assert path.read_text() == text.replace("0.123456789012 1 2", "0.123456789012 1 3")
+
+
+def test_angles_are_written_in_the_files_unit(tmp_path: Path) -> None:
+    path = tmp_path / "source.x3d"
+    head = f"<head><unit category='angle' name='degree' conversionFactor='{np.pi / 180!r}'/></head>".replace(
+        "np.float64", ""
+    )
+    path.write_text(x3d("<SpotLight beamWidth='30' cutOffAngle='60'/>", head=head))
+    save(with_values(load(path), spot__cut_off_angle=[np.pi / 4]), path)
+    (written,) = re.findall("cutOffAngle='(.*?)'", path.read_text())
+    assert float(written) == pytest.approx(45, rel=1e-6)
+    assert "beamWidth='30'" in path.read_text()
+
+
+def test_clamped_values_are_not_written_back(tmp_path: Path) -> None:
+    path = tmp_path / "source.x3d"
+    path.write_text(x3d("<PointLight color='1.5 0 0' intensity='1'/>"))
+    save(with_values(quietly(path), point__intensity=[2.0]), path)
+    assert path.read_text() == x3d("<PointLight color='1.5 0 0' intensity='2'/>")
+
+
+SHARED = """<Group><PointLight DEF='lamp' intensity='0.5'/></Group>
+<Transform translation='5 0 0'><PointLight USE='lamp'/></Transform>
+"""
+
+
+def test_rows_of_one_node_must_agree(tmp_path: Path) -> None:
+    path = tmp_path / "source.x3d"
+    path.write_text(x3d(SHARED))
+    scene = load(path)
+    with pytest.raises(ValueError, match=r"PointLight\[lamp\].intensity: the node is used 2 times \(USE\)"):
+        save(with_values(scene, point__intensity=[0.5, 0.75]), tmp_path / "out.x3d")
+    save(with_values(scene, point__intensity=[0.75, 0.75]), tmp_path / "out.x3d")
+    assert (tmp_path / "out.x3d").read_text() == x3d(SHARED).replace("0.5", "0.75")
+
+
+REFUSED = [
+    ({"materials__diffuse_color": [[1.5, 0, 0]]}, r"Material\[body\].diffuse_color: expected 3 numbers in \[0, 1\]"),
+    ({"materials__shininess": [np.nan]}, r"Material\[body\].shininess: expected a finite number"),
+    ({"spot__cut_off_angle": [2.0]}, r"SpotLight\[lamp\].cut_off_angle: expected"),
+    ({"point__to_world": np.ones((1, 3, 4))}, r"point.to_world changed"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), REFUSED)
+def test_what_no_field_can_hold_is_refused_and_the_file_stays(source: Path, changes: dict, message: str) -> None:
+    before = source.read_bytes()
+    with pytest.raises(ValueError, match=message):
+        save(with_values(quietly(source), **changes), source)
+    assert source.read_bytes() == before
+    assert os.listdir(source.parent) == ["source.x3d"]
+
+
+def test_the_headlight_is_not_the_files(tmp_path: Path) -> None:
+    path = tmp_path / "source.x3d"
+    path.write_text(x3d("<Shape><Sphere/></Shape>"))
+    scene = load(path)
+    save(scene, tmp_path / "same.x3d")
+    with pytest.raises(ValueError, match="headlight is the browser's"):
+        save(with_values(scene, directional__intensity=[0.5]), tmp_path / "out.x3d")
+
+
+@pytest.mark.parametrize("name", ["out.glb", "out.wrl", "out", "out.x3dv"])
+def test_other_formats_are_refused(source: Path, name: str) -> None:
+    with pytest.raises(ValueError, match=r"expected a name that ends in \.x3d"):
+        save(quietly(source), source.parent / name)
+
+
+def test_an_interrupted_write_leaves_the_old_file(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = source.read_bytes()
+
+    def fails(*_: object) -> None:
+        raise OSError("disk full")
+
+    monkeypatch.setattr(Path, "write_bytes", fails)
+    with pytest.raises(OSError, match="disk full"):
+        save(with_values(quietly(source), materials__shininess=[0.75]), source)
+    assert source.read_bytes() == before
+    assert os.listdir(source.parent) == ["source.x3d"]
+
+
+def test_permissions_stay(source: Path) -> None:
+    source.chmod(0o640)
+    save(quietly(source), source)
+    assert source.stat().st_mode & 0o777 == 0o640
+
+
+# --- scenes without a file ------------------------------------------------------------------------------------------
+
+
+def a_scene_of_everything() -> list[n.Node]:
+    rng = np.random.default_rng(5)
+    body = n.Material(name="body", diffuse_color=(0.1, 1 / 3, 0.7), shininess=0.123456789)
+    shared = n.Coordinate(name="points", point=rng.normal(size=(4, 3)))
+    pixels = rng.integers(0, 256, (2, 3, 4)) / 255
+    lamp = n.SpotLight(name='a "quoted" & <odd> name', radius=np.inf, attenuation=(0.1, 0.2, 1e-30))
+    return [
+        n.Transform(
+            translation=(1e-7, 2e20, -0.1),
+            rotation=(0.6, 0.8, 0, 1.1),
+            children=(
+                n.Shape(
+                    appearance=n.Appearance(
+                        material=body,
+                        texture=n.PixelTexture(image=pixels),
+                        texture_transform=n.TextureTransform(rotation=1),
+                    ),
+                    geometry=n.IndexedFaceSet(
+                        coord=shared,
+                        coord_index=[0, 1, 2, -1, 0, 2, 3, -1],
+                        color=n.ColorRGBA(color=rng.random((2, 4))),
+                        color_per_vertex=False,
+                        tex_coord=n.TextureCoordinate(point=rng.random((4, 2))),
+                    ),
+                ),
+                n.Shape(
+                    appearance=n.Appearance(material=body),
+                    geometry=n.IndexedTriangleSet(
+                        coord=shared, index=[0, 1, 2], normal=n.Normal(vector=rng.normal(size=(4, 3)))
+                    ),
+                ),
+                n.Group(children=(lamp, lamp)),
+            ),
+        ),
+        n.Switch(which_choice=1, children=(n.Shape(geometry=n.Cone()), n.Shape(geometry=n.Cylinder(top=False)))),
+        n.Shape(
+            geometry=n.TriangleSet(coord=n.Coordinate(point=rng.normal(size=(3, 3))), color=n.Color(color=np.eye(3)))
+        ),
+        n.Shape(geometry=n.Box(size=(1, 2, 3))),
+        n.DirectionalLight(on=False, global_=True),
+        n.PointLight(name="key", intensity=2.5),
+        n.Fog(fog_type="EXPONENTIAL", visibility_range=12.5),
+        n.Background(sky_angle=(1.0,), sky_color=[[0, 0, 1], [1, 1, 1]]),
+        n.Viewpoint(description='it\'s "here"\nor there', position=(1, 2, 3)),
+        n.NavigationInfo(headlight=False),
+    ]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_scene_built_in_python_comes_back(tmp_path: Path, dtype: type) -> None:
+    with jax.enable_x64(True):
+        scene = Scene.from_nodes(a_scene_of_everything(), dtype=dtype)
+        save(scene, tmp_path / "scene.x3d")
+        again = load(tmp_path / "scene.x3d", dtype=dtype)
+        assert nodes_equal(again.document.children, scene.document.children)
+        for a, b in zip(jax.tree.leaves(scene), jax.tree.leaves(again), strict=True):
+            assert np.array_equal(a, b)
+    shapes = again.document.shapes
+    assert shapes[0].node.appearance.material is shapes[1].node.appearance.material  # type: ignore[union-attr]
+
+
+def test_changed_numbers_of_a_scene_built_in_python_are_written(tmp_path: Path) -> None:
+    scene = with_values(Scene.from_nodes(a_scene_of_everything()), materials__diffuse_color=[[0.5, 0.25, 0.125]])
+    save(scene, tmp_path / "scene.x3d")
+    assert load(tmp_path / "scene.x3d").document.materials[0].diffuse_color == (0.5, 0.25, 0.125)
+
+
+def test_nodes_without_a_name_that_are_used_twice_get_one(tmp_path: Path) -> None:
+    ball = n.Shape(geometry=n.Sphere())
+    save(Scene.from_nodes([ball, n.Group(children=(ball,)), n.Group(name="Shape_1")]), tmp_path / "scene.x3d")
+    first, group, _ = load(tmp_path / "scene.x3d").document.children
+    assert first.name == "Shape_2"
+    assert group.children[0] is first  # type: ignore[attr-defined]
+
+
+def test_two_nodes_of_one_name_stay_two(tmp_path: Path) -> None:
+    a, b = n.Shape(name="s", geometry=n.Box()), n.Shape(name="s", geometry=n.Sphere())
+    save(Scene.from_nodes([a, b, a, b]), tmp_path / "scene.x3d")
+    kinds = [type(shape.geometry).__name__ for shape in load(tmp_path / "scene.x3d").document.children]  # type: ignore[attr-defined]
+    assert kinds == ["Box", "Sphere", "Box", "Sphere"]
+
+
+def test_a_name_that_xml_cannot_hold_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="holds what XML cannot"):
+        save(Scene.from_nodes([n.Group(name="\0")]), tmp_path / "scene.x3d")
+    assert os.listdir(tmp_path) == []
+
+
+# --- textures -------------------------------------------------------------------------------------------------------
+
+TEXTURED = "<Shape><Appearance><Material/><ImageTexture DEF='wood' url='\"maps/wood.png\"'/></Appearance><Box/></Shape>"
+
+
+@pytest.fixture
+def textured(tmp_path: Path) -> Path:
+    folder = tmp_path / "source"
+    (folder / "maps").mkdir(parents=True)
+    Image.fromarray(np.arange(24, dtype=np.uint8).reshape(2, 4, 3)).save(folder / "maps" / "wood.png")
+    (folder / "scene.x3d").write_text(x3d(TEXTURED))
+    return folder / "scene.x3d"
+
+
+def with_texels(scene: Scene, image: np.ndarray) -> Scene:
+    return eqx.tree_at(lambda s: s.textures[0].image, scene, jnp.asarray(image, dtype=scene.textures[0].image.dtype))
+
+
+def test_unchanged_textures_are_copied_along(textured: Path, tmp_path: Path) -> None:
+    out = tmp_path / "elsewhere" / "scene.x3d"
+    out.parent.mkdir()
+    scene = load(textured)
+    save(scene, out)
+    assert out.read_bytes() == textured.read_bytes()
+    assert (out.parent / "maps" / "wood.png").read_bytes() == (textured.parent / "maps" / "wood.png").read_bytes()
+    assert nodes_equal(load(out).document.children, scene.document.children)
+
+
+def test_a_copied_texture_never_replaces_another_file(textured: Path, tmp_path: Path) -> None:
+    out = tmp_path / "elsewhere" / "fitted.x3d"
+    (out.parent / "maps").mkdir(parents=True)
+    (out.parent / "maps" / "wood.png").write_text("something else")
+    save(load(textured), out)
+    assert (out.parent / "maps" / "wood.png").read_text() == "something else"
+    assert np.array_equal(load(out).textures[0].image, load(textured).textures[0].image)
+    assert "url='\"fitted_wood.png\"'" in out.read_text()
+
+
+def test_changed_texels_are_written_beside_the_file(textured: Path) -> None:
+    original = (textured.parent / "maps" / "wood.png").read_bytes()
+    image = np.random.default_rng(1).integers(0, 256, (5, 3, 3)) / 255
+    out = textured.parent / "fitted.x3d"
+    save(with_texels(load(textured), image), out)
+    assert (textured.parent / "maps" / "wood.png").read_bytes() == original
+    assert out.read_text() == x3d(TEXTURED).replace("maps/wood.png", "fitted_wood.png")
+    assert np.array_equal(read_image(textured.parent / "fitted_wood.png"), image[::-1])
+    assert np.allclose(load(out).textures[0].image, image, atol=1e-7)
+
+
+def test_an_input_texture_is_never_overwritten(tmp_path: Path) -> None:
+    Image.new("RGB", (1, 1), (255, 0, 0)).save(tmp_path / "scene_wood.png")
+    (tmp_path / "scene.x3d").write_text(x3d(TEXTURED.replace("maps/wood.png", "scene_wood.png")))
+    save(with_texels(load(tmp_path / "scene.x3d"), np.zeros((1, 1, 3))), tmp_path / "scene.x3d")
+    assert read_image(tmp_path / "scene_wood.png").ravel().tolist() == [1, 0, 0]
+    assert np.array_equal(load(tmp_path / "scene.x3d").textures[0].image, np.zeros((1, 1, 3)))
+
+
+def test_changed_pixel_textures_stay_in_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    text = x3d("<Shape><Appearance><PixelTexture image='1 2 1 0 255'/></Appearance><Box/></Shape>")
+    path.write_text(text)
+    save(with_texels(load(path), np.array([[[0.2]], [[0.4]]])), path)
+    assert path.read_text() == text.replace("1 2 1 0 255", "1 2 1 0x33 0x66")
+
+
+def test_a_texture_built_in_python_becomes_a_file(tmp_path: Path) -> None:
+    image = np.random.default_rng(2).integers(0, 256, (4, 2, 4)) / 255
+    for texture in (n.ImageTexture(image=image, url=("wood.png",)), n.ImageTexture(image=image, name="wood")):
+        scene = Scene.from_nodes([n.Shape(appearance=n.Appearance(texture=texture), geometry=n.Box())])
+        save(scene, tmp_path / "scene.x3d")
+        assert np.array_equal(load(tmp_path / "scene.x3d").document.textures[0].image, image)  # type: ignore[arg-type]
+    assert sorted(os.listdir(tmp_path)) == ["scene.x3d", "scene_wood.png", "wood.png"]
+    named = Scene.from_nodes([n.Shape(appearance=n.Appearance(texture=n.ImageTexture(image=image, url=("wood.png",))))])
+    save(named, tmp_path / "again.x3d")
+    assert nodes_equal(load(tmp_path / "again.x3d").document.children, named.document.children)
