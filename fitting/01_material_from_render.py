@@ -18,9 +18,9 @@ import equinox as eqx
 import jax
 import numpy as np
 import tyro
-from pictures import save_grid, signed, table
 
 from jaxlight import Fit, SampleBuffer, Scene, View, fit, load, rasterize, read_image, save, shade
+from pictures import save_grid, signed, table
 
 DATA = Path(__file__).parent / "data" / "spot"
 FREE = [

@@ -99,3 +99,35 @@ def lambert_normals(photographs: np.ndarray, light: np.ndarray) -> np.ndarray:
     light = light * (photographs > SHADOW)[..., None]
     square = np.einsum("kpi,kpj->pij", light, light) + 1e-9 * np.eye(3)
     return np.linalg.solve(square, np.einsum("kpi,kp->pi", light, photographs)[..., None])[..., 0]
+
+
+def lambert_prediction(photographs: np.ndarray, light: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """What Lambert's law with a normal and an albedo per pixel says a lamp of strength 1 shows, [pixels].
+
+    Args:
+        photographs, light: as in `lambert_normals`.
+        direction: unit vector to the lamp.
+    """
+    return np.maximum(lambert_normals(photographs, light) @ direction, 0)
+
+
+def scaled(prediction: np.ndarray, photograph: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """The prediction times the strength that fits the chosen pixels of the photograph best."""
+    known = prediction[chosen]
+    return prediction * (known @ photograph[chosen]) / (known @ known)
+
+
+def falloff(photograph: np.ndarray, lambert: np.ndarray, position: np.ndarray) -> tuple[float, np.ndarray]:
+    """The plane level (1 + slope . position) that Lambert's picture must be multiplied with to give the photograph.
+
+    Args:
+        photograph, lambert: [pixels].
+        position: [pixels, 3].
+
+    Returns:
+        level and slope [3], the latter with no part along z.
+    """
+    lit = (photograph > SHADOW) & (lambert > SHADOW)
+    plane = lambert[lit, None] * np.column_stack([np.ones(np.count_nonzero(lit)), position[lit, :2]])
+    level, *slope = np.linalg.lstsq(plane, photograph[lit], rcond=None)[0]
+    return level, np.append(slope, 0.0) / level

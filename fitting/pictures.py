@@ -32,9 +32,10 @@ def save_grid(path: Path, rows: Sequence[Mapping[str, np.ndarray]]) -> None:
 
 
 def signed(difference: np.ndarray, full: float) -> np.ndarray:
-    """A difference as colours: white where 0, red where -`full` or less, blue where `full` or more; [..., 3]."""
+    """A difference as colours: white where 0, orange where -`full` or less, blue where `full` or more; [..., 3]."""
     amount = np.clip(difference / full, -1, 1)[..., None]
-    return 1 - np.maximum(amount, 0) * [1.0, 0.6, 0.0] - np.maximum(-amount, 0) * [0.0, 0.6, 1.0]
+    blue, orange = np.array([0.0, 0.4, 1.0]), np.array([1.0, 0.4, 0.0])
+    return 1 - np.maximum(amount, 0) * (1 - blue) - np.maximum(-amount, 0) * (1 - orange)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

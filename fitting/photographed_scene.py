@@ -1,0 +1,120 @@
+"""The scene of recipe 02: photographed pixels as samples, lamps with uneven beams, an albedo texture.
+
+Axes as in the data: x right, y up, z to the viewer; the unit is the height of the photograph, its centre the origin.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlight import SampleBuffer, Scene, nodes, shade
+from photometric_stereo import falloff
+
+LAMP_DISTANCE = 20.0
+"""Far, as the chrome spheres say."""
+VIEWER = (0.0, 0.0, 1000.0)
+
+
+class Cat:
+    """The pixels that show the cat: where they lie, and the scene's samples there."""
+
+    def __init__(self, mask: np.ndarray) -> None:
+        self.mask = mask
+        self.height, self.width = mask.shape
+        self.row, self.column = np.nonzero(mask)
+        x = (self.column + 0.5 - self.width / 2) / self.height
+        y = (self.height / 2 - self.row - 0.5) / self.height
+        self.position = np.stack([x, y, np.zeros_like(x)], axis=1)
+        self.texel = (self.height - 1 - self.row) * self.width + self.column
+
+    def image(self, values: np.ndarray) -> np.ndarray:
+        """[height, width] with `values` [pixels] on the cat and 0 elsewhere."""
+        picture = np.zeros(self.mask.shape)
+        picture[self.mask] = values
+        return picture
+
+    def texture(self, albedo: np.ndarray) -> np.ndarray:
+        """The albedo as a texture [height, width, 1], row 0 at the bottom."""
+        return self.image(np.clip(albedo, 0, 1))[::-1, :, None]
+
+    def samples(self, normals: np.ndarray, chosen: np.ndarray | slice = slice(None)) -> SampleBuffer:
+        """Samples of the chosen pixels, each with its own texel."""
+        texel = self.texel[chosen]
+        return SampleBuffer.create(
+            position=self.position[chosen],
+            normal=np.broadcast_to(normals, self.position.shape)[chosen],
+            eye=VIEWER,
+            texel_index=np.repeat(texel[:, None], 4, axis=1),
+            texel_weight=np.tile([1.0, 0.0, 0.0, 0.0], (len(texel), 1)),
+        )
+
+
+def make_scene(cat: Cat, albedo: np.ndarray, lamps: list[nodes.Transform]) -> Scene:
+    """The lamps and a card the size of the photograph, with the albedo as its texture."""
+    x, y = cat.width / cat.height / 2, 0.5
+    card = nodes.IndexedFaceSet(
+        coord=nodes.Coordinate(point=[(-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)]),
+        tex_coord=nodes.TextureCoordinate(point=[(0, 0), (1, 0), (1, 1), (0, 1)]),
+        coord_index=[0, 1, 2, 3, -1],
+    )
+    plaster = nodes.Material(name="plaster", diffuse_color=(1, 1, 1), specular_color=(0.05,) * 3, ambient_intensity=0)
+    texture = nodes.PixelTexture(name="albedo", image=cat.texture(albedo))
+    shape = nodes.Shape(appearance=nodes.Appearance(material=plaster, texture=texture), geometry=card)
+    return Scene.from_nodes([*lamps, shape])
+
+
+def aimed_lamp(
+    cat: Cat, name: str, direction: np.ndarray, photograph: np.ndarray, lambert: np.ndarray
+) -> nodes.Transform:
+    """A lamp whose beam falls off over the cat as the photograph does against Lambert's prediction.
+
+    The intensity of a SpotLight with a narrow core falls linearly with the angle from its axis, so at a distance the
+    ratio of the two pictures is a plane; its slope says how far to the side of the cat the axis points.
+
+    Args:
+        direction: unit vector to the lamp.
+        photograph, lambert: [pixels].
+    """
+    level, slope = falloff(photograph, lambert, cat.position)
+    steepness = max(np.linalg.norm(slope), 1e-6)
+    off_axis = np.clip(np.pi / 2 - 1 / (steepness * LAMP_DISTANCE), 0.05, 1.4)
+    across = slope - (slope @ direction) * direction
+    axis = -np.cos(off_axis) * direction + np.sin(off_axis) * across / max(np.linalg.norm(across), 1e-12)
+    turn = np.cross([0.0, 0.0, -1.0], axis)
+    return nodes.Transform(
+        translation=tuple(LAMP_DISTANCE * direction),
+        rotation=(*turn, np.arccos(-axis[2])),
+        children=nodes.SpotLight(
+            name=name, intensity=level / (1 - off_axis / (np.pi / 2)), beam_width=0.01, cut_off_angle=np.pi / 2
+        ),
+    )
+
+
+@eqx.filter_jit
+def photographs_of(scene: Scene, samples: SampleBuffer) -> jax.Array:
+    """What the camera sees in the light of each lamp of the scene alone, [lamps, samples] (grey)."""
+
+    def photograph(intensity: jax.Array) -> jax.Array:
+        return shade(eqx.tree_at(lambda s: s.spot.intensity, scene, intensity), samples)[:, 0]
+
+    return jax.lax.map(photograph, jnp.diag(scene.spot.intensity))
+
+
+def matt(scene: Scene) -> Scene:
+    """The scene without highlights."""
+    return eqx.tree_at(lambda s: s.materials.specular_color, scene, replace_fn=jnp.zeros_like)
+
+
+def lights_at(cat: Cat, scene: Scene) -> np.ndarray:
+    """The vector to each lamp times its strength at every pixel, [lamps, pixels, 3].
+
+    Three matt white surfaces, tilted so that all of them face the lamps, receive its products with their normals.
+    """
+    white = eqx.tree_at(lambda s: s.textures[0].image, matt(scene), replace_fn=jnp.ones_like)
+    turns = np.arange(3) * 2 * np.pi / 3
+    tilted = np.stack([np.cos(turns), np.sin(turns), np.ones(3)], axis=1) / np.sqrt(2)
+    received = np.stack([photographs_of(white, cat.samples(normal)) for normal in tilted], axis=-1)
+    return np.linalg.solve(tilted, received[..., None].astype(float))[..., 0]
