@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -93,7 +91,7 @@ BAD_WORDS = {
     "no such viewpoint": (("render", "scene.x3d", "--output", "a.png", "--viewpoint", "back"), "front, side"),
     "not a picture": (("render", "scene.x3d", "--output", "a.xyz"), ".png"),
     "broken scene": (("info", "broken.x3d"), "broken.x3d"),
-    "bad value": (("info", "bad.x3d"), "bad.x3d"),
+    "bad value": (("info", "bad.x3d"), "bad.x3d:8: "),
     "not a scene": (("info", "notes.txt"), "notes.txt"),
 }
 
@@ -101,7 +99,7 @@ BAD_WORDS = {
 @pytest.mark.parametrize("case", BAD_WORDS)
 def test_bad_input_is_one_line_and_status_2(run, case: str) -> None:
     Path("broken.x3d").write_text(SCENE[: len(SCENE) // 2])
-    Path("bad.x3d").write_text(SCENE.replace('shininess="0.3"', 'shininess="3"'))
+    Path("bad.x3d").write_text(SCENE.replace('shininess="0.3"', 'shininess="much"'))
     Path("notes.txt").write_text("dear diary")
     args, part = BAD_WORDS[case]
     result = run(*args)
@@ -110,6 +108,16 @@ def test_bad_input_is_one_line_and_status_2(run, case: str) -> None:
     assert result.err.count("\n") == 1 and result.err.startswith("jaxlight: error: ")
     assert part in result.err
     assert not Path("a.png").exists()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_mistakes_are_one_line_in_any_terminal(encoding: str) -> None:
+    args = [sys.executable, "-m", "jaxlight", "render", "a.x3d", "--output", "a.png", "--widht", "3"]
+    environment = {**os.environ, "PYTHONIOENCODING": encoding, "COLUMNS": "60", "FORCE_COLOR": "1"}
+    done = subprocess.run(args, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr.startswith("jaxlight: error: Unrecognized options: --widht") and done.stderr.count("\n") == 1
+    assert "Perhaps you meant: --width" in done.stderr and "\x1b" not in done.stderr
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
@@ -129,3 +137,215 @@ def test_spare_follows_links(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="input"):
         spare([tmp_path / "a"], [tmp_path / "b"])
     spare([tmp_path / "a"], [tmp_path / "c"])
+
+
+# --- info -------------------------------------------------------------------------------------------------------------
+
+
+def test_info_names_what_can_be_fitted(run) -> None:
+    result = run("info", "scene.x3d")
+    assert result.status == 0 and result.err == ""
+    assert "PointLight[key], on, 1 of 1 shapes in scope" in result.out
+    assert "Viewpoint[front], position 0 0 4" in result.out
+    row = next(line for line in result.out.splitlines() if "Material[red].diffuse_color" in line)
+    assert row.split() == ["Material[red].diffuse_color", "0.8", "0.2", "0.1", "[0,", "1]"]
+
+
+def test_info_as_json(run) -> None:
+    description = json.loads(run("info", "scene.x3d", "--json").out)
+    assert description["nodes"]["PointLight"] == 1
+    assert description["headlight"] is False
+    fields = {field["path"]: field["value"] for field in description["fields"]}
+    assert fields["SpotLight[rim].cut_off_angle"] == 0.7
+    assert fields["PointLight[key].location"] == [2, 3, 4]
+
+
+def test_info_counts_a_node_that_is_used_twice_once(run) -> None:
+    shape = "<Transform translation='3 0 0'><Shape><Appearance USE='look'/><Sphere/></Shape></Transform>"
+    text = SCENE.replace("<Appearance>", "<Appearance DEF='look'>").replace("</Scene>", f"{shape}</Scene>")
+    Path("twice.x3d").write_text(text)
+    result = run("info", "twice.x3d")
+    assert "1 Material" in result.out and "2 Sphere" in result.out and "2 x Sphere, Material[red]" in result.out
+
+
+def test_warnings_are_one_line(run) -> None:
+    Path("more.x3d").write_text(SCENE.replace("</Scene>", "<Script/><WorldInfo/></Scene>"))
+    result = run("info", "more.x3d")
+    assert result.status == 0
+    assert result.err.startswith("jaxlight: warning: more.x3d: ") and result.err.count("\n") == 1
+    assert "Script" in result.err
+
+
+# --- render -----------------------------------------------------------------------------------------------------------
+
+
+def test_render_writes_the_picture(run) -> None:
+    result = run("render", "scene.x3d", "--output", "new/a.png", "--width", 40, "--height", 30)
+    assert result == (0, "", "")
+    pixels = np.asarray(Image.open("new/a.png"))
+    assert pixels.shape == (30, 40, 3)
+    assert pixels[0, 0].tolist() == [0, 0, 0]  # the background
+    red, green, blue = pixels[15, 20].tolist()
+    assert red > 2 * green > 2 * blue > 0
+
+
+def test_render_equals_the_library(run) -> None:
+    import jaxlight as jl
+
+    run(
+        "render", "scene.x3d", "--output", "a.png", "--width", 32, "--height", 32, "--samples", 4, "--viewpoint", "side"
+    )
+    scene = jl.load("scene.x3d")
+    camera = jl.Camera.from_viewpoint(scene.document.viewpoints[1])
+    picture = jl.render(scene, jl.rasterize(scene, camera, 32, 32, samples=4))
+    expected = np.rint(np.clip(np.asarray(picture), 0, 1) * 255)
+    np.testing.assert_allclose(np.asarray(Image.open("a.png"), float), expected, atol=1)
+
+
+@pytest.mark.parametrize("viewpoint", ["1", "side"])
+def test_a_viewpoint_by_name_or_number(run, viewpoint: str) -> None:
+    run("render", "scene.x3d", "--output", "side.png", "--width", 16, "--height", 16, "--viewpoint", "side")
+    run("render", "scene.x3d", "--output", "other.png", "--width", 16, "--height", 16, "--viewpoint", viewpoint)
+    run("render", "scene.x3d", "--output", "front.png", "--width", 16, "--height", 16)
+    assert Path("side.png").read_bytes() == Path("other.png").read_bytes() != Path("front.png").read_bytes()
+
+
+def test_srgb_encoding_brightens_mid_tones(run) -> None:
+    size = ("--width", 16, "--height", 16)
+    run("render", "scene.x3d", "--output", "raw.png", *size)
+    run("render", "scene.x3d", "--output", "srgb.png", *size, "--encode", "srgb")
+    raw, srgb = (np.asarray(Image.open(name), float)[8, 8] / 255 for name in ("raw.png", "srgb.png"))
+    np.testing.assert_allclose(srgb, 1.055 * raw ** (1 / 2.4) - 0.055, atol=0.01)
+
+
+# --- fit --------------------------------------------------------------------------------------------------------------
+
+FREE = ("--free", "Material[red].diffuse_color", "Material[red].shininess")
+START = ("--start", "Material[red].diffuse_color=0.5", "Material[red].shininess=0.5")
+
+
+@pytest.fixture
+def target(run) -> Path:
+    """A picture of the scene, to be fitted."""
+    assert run("render", "scene.x3d", "--output", "target.png", "--width", 48, "--height", 48).status == 0
+    return Path("target.png")
+
+
+def test_fit_finds_the_material_and_writes_everything(run, target: Path) -> None:
+    result = run("fit", "scene.x3d", target, "--output", "fitted", *FREE, *START)
+    assert result.status == 0, result.err
+    assert result.out.startswith("Converged in ")
+    steps = [line for line in result.err.splitlines() if line.split()[0].isdigit()]
+    assert result.err.splitlines()[0].split() == ["step", "residual", "gradient", "damping", "seconds"]
+    residuals = [float(line.split()[1]) for line in steps]
+    assert len(steps) >= 3 and residuals[-1] < 0.05 * residuals[0]
+
+    numbers = json.loads(Path("fitted/fit.json").read_text())
+    assert numbers["outcome"] == "converged"
+    fitted = {label: value["fitted"] for label, value in numbers["values"].items()}
+    # An 8-bit picture of 48 x 48 pixels tells colours to about 1e-3.
+    assert abs(fitted["Material[red].diffuse_color.r"] - 0.8) < 2e-3
+    assert abs(fitted["Material[red].shininess"] - 0.3) < 5e-3
+    difference = np.asarray(Image.open("fitted/view_0.png"), float) - np.asarray(Image.open(target), float)
+    assert np.abs(difference).max() <= 1
+
+    scene = Path("fitted/scene.x3d").read_text()
+    assert len([1 for new, old in zip(scene.splitlines(), SCENE.splitlines(), strict=True) if new != old]) == 1
+    page = Path("fitted/report.html").read_text()
+    assert page.count("data:image/png;base64,") == 3 and "Material[red].shininess" in page
+    assert "http" not in page.replace("http-equiv", "")
+    assert sorted(os.listdir("fitted")) == ["fit.json", "report.html", "scene.x3d", "view_0.png"]
+
+
+def test_a_fit_that_does_not_converge_says_so_with_status_1(run, target: Path) -> None:
+    result = run("fit", "scene.x3d", target, "--output", "fitted", *FREE, *START, "--max-steps", 1, "--quiet")
+    assert result.status == 1
+    assert result.err == ""
+    assert "Not converged" in result.out
+    assert json.loads(Path("fitted/fit.json").read_text())["outcome"] == "max_steps"
+    assert "Not converged" in Path("fitted/report.html").read_text()
+
+
+def test_masked_pixels_are_not_fitted(run, target: Path) -> None:
+    pixels = np.array(Image.open(target))
+    pixels[:24] = 255 - pixels[:24]  # nonsense
+    Image.fromarray(pixels).save("spoilt.png")
+    mask = np.zeros((48, 48), np.uint8)
+    mask[24:] = 255
+    Image.fromarray(mask).save("mask.png")
+    result = run(
+        "fit", "scene.x3d", "spoilt.png", "--masks", "mask.png", "--output", "fitted", *FREE, *START, "--quiet"
+    )
+    assert result.status == 0
+    values = json.loads(Path("fitted/fit.json").read_text())["values"]
+    assert abs(values["Material[red].diffuse_color.r"]["fitted"] - 0.8) < 5e-3
+
+
+BAD_FITS = {
+    "no picture": ((), FREE, "at least one picture"),
+    "no such field": (("target.png",), ("--free", "Material[blue].diffuse_color"), "Material[red].diffuse_color"),
+    "no field": (("target.png",), (), "--free"),
+    "no such picture": (("nope.png",), FREE, "nope.png: no such file"),
+    "two masks": (("target.png",), (*FREE, "--masks", "target.png", "target.png"), "expected one for each of 1"),
+    "bad start": (("target.png",), (*FREE, "--start", "Material[red].shininess=2"), "[0, 1]"),
+    "start without value": (("target.png",), (*FREE, "--start", "Material[red].shininess"), "PATH=NUMBERS"),
+    "start of three": (("target.png",), (*FREE, "--start", "Material[red].shininess=1 0 1"), "expected 1"),
+    "a mask of another size": (("target.png",), (*FREE, "--masks", "small.png"), "mask"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FITS)
+def test_a_bad_fit_is_refused_in_one_line(run, target: Path, case: str) -> None:
+    Image.new("L", (4, 4), 255).save("small.png")
+    pictures, options, part = BAD_FITS[case]
+    result = run("fit", "scene.x3d", *pictures, "--output", "fitted", *options)
+    assert (result.status, result.out) == (2, "")
+    assert result.err.count("\n") == 1 and part in result.err
+    assert not Path("fitted").exists()
+
+
+def test_fit_never_writes_over_its_inputs(run, target: Path) -> None:
+    Path("fitted").mkdir()
+    target.rename("fitted/view_0.png")
+    result = run("fit", "scene.x3d", "fitted/view_0.png", "--output", "fitted", *FREE)
+    assert result.status == 2 and "input" in result.err
+    assert run("fit", "scene.x3d", "fitted/view_0.png", "--output", "scene.x3d", *FREE).status == 2
+    assert Path("scene.x3d").read_text() == SCENE
+
+
+# --- gradcheck --------------------------------------------------------------------------------------------------------
+
+
+def test_gradcheck_prints_a_row_a_field(run) -> None:
+    result = run("gradcheck", "scene.x3d", "--width", 12, "--height", 12, "--precision", "float32")
+    assert result.status == 0, result.out
+    for path in ("Material[red].shininess", "PointLight[key].attenuation", "SpotLight[rim].beam_width"):
+        assert path in result.out
+
+
+def test_gradcheck_fails_where_the_tolerance_is_not_met(run) -> None:
+    options = ("--width", 12, "--height", 12, "--precision", "float32", "--fields", "Material[red].shininess")
+    result = run("gradcheck", "scene.x3d", *options, "--tolerance", "1e-30")
+    assert result.status == 1
+
+
+# --- the process ------------------------------------------------------------------------------------------------------
+
+
+def test_ctrl_c_ends_with_130_and_one_line(run) -> None:
+    code = """
+import os, signal, sys, threading
+from jaxlight.cli import main
+threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
+sys.exit(main("render scene.x3d --output a.png --width 4000 --height 4000 --samples 16".split()))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 130
+    assert done.stderr == "jaxlight: interrupted\n"
+    assert not Path("a.png").exists()
+
+
+def test_a_reader_that_goes_away_is_no_traceback(run) -> None:
+    command = f"{sys.executable} -m jaxlight info scene.x3d | true"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60)
+    assert "Traceback" not in done.stderr and "BrokenPipe" not in done.stderr

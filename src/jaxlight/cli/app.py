@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import sys
 import traceback
 import warnings
@@ -96,17 +97,17 @@ def _parse(words: list[str]) -> Any:
 def _condensed(boxed: str) -> str:
     """What tyro's box says: its first section, and the first suggestion if there is one."""
     sections: list[list[str]] = [[]]
-    for line in boxed.splitlines():
-        if not line.startswith("│"):
+    for line in re.sub(r"\x1b\[[0-9;]*m", "", boxed).splitlines():
+        if not line.startswith(("│ ", "  ")):  # the frame, or the title where the terminal has no line characters
             continue
-        text = line.strip("│").rstrip()
-        if text.strip(" ─") == "":
+        text = line[2:].rstrip(" │")
+        if text.strip("─-") == "":
             sections.append([])
         elif len(text) - len(text.lstrip()) < 8:  # deeper lines repeat the help of an option
             sections[-1].append(text.strip())
     hints = [section[:2] for section in sections[1:] if section and section[0].startswith("Perhaps")]
-    first, *rest = sections[0] or ["cannot read the arguments"]
-    return "; ".join(" ".join(part).removesuffix(".") for part in [[first, *rest], *hints[:1]])
+    parts = [sections[0] or ["cannot read the arguments"], *hints[:1]]
+    return "; ".join(" ".join(part).removesuffix(".") for part in parts)
 
 
 def _sentence(error: BaseException) -> str:

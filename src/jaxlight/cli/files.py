@@ -22,3 +22,11 @@ def spare(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
         for path in inputs:
             if output.exists() and output.samefile(path):
                 raise ValueError(f"{output}: is an input of this command; choose another output")
+
+
+def picture_path(path: Path) -> None:
+    """Raise ValueError if no picture can be written under this name: said before the work, not after it."""
+    if path.is_dir():
+        raise ValueError(f"{path}: expected a file, got a folder")
+    if path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".exr"):
+        raise ValueError(f"{path}: expected a name that ends in .png, .jpg, .jpeg or .exr")

@@ -115,7 +115,7 @@ class Fit:
         return [f"view_{row}.png" for row in range(len(self.targets))]
 
     def _views(self, scene: jaxlight.Scene) -> list[jaxlight.View]:
-        from jaxlight import View, rasterize, read_image
+        from jaxlight import View, decode, rasterize, read_image
 
         views, seen = [], {}
         stems = [path.stem for path in self.targets]
@@ -131,20 +131,22 @@ class Fit:
                 seen[key] = rasterize(scene, camera_of(scene, key[0]), width, height, samples=self.samples)
             saturated = self.saturated if self.saturated is not None or path.suffix.lower() == ".exr" else 1.0
             name = path.stem if stems.count(path.stem) == 1 else f"{path.stem}_{row}"
-            views.append(View(seen[key], decoded(target, self.decode), mask=mask, saturated=saturated, name=name))
+            views.append(View(seen[key], decode(target, self.decode), mask=mask, saturated=saturated, name=name))
         return views
 
     def _write(self, result: Any, views: Sequence[Any]) -> None:
-        from jaxlight import save, write_image
+        from jaxlight import encode, save, write_image
         from jaxlight.fit.report import view_pictures, write_report
         from jaxlight.formats.safe_write import written_whole
 
+        options = self.reading.lighting_options()
         self.output.mkdir(parents=True, exist_ok=True)
         scene_file, *picture_files, report_file, numbers_file = self._outputs()
         save(result.scene, scene_file)
-        for path, pictures in zip(picture_files, view_pictures(result, views), strict=True):
-            write_image(path, encoded(pictures.model, self.decode))
-        write_report(report_file, result, views, title=f"{self.scene.name} fitted to {', '.join(map(str, self.targets))}")
+        for path, pictures in zip(picture_files, view_pictures(result, views, options), strict=True):
+            write_image(path, encode(pictures.model, self.decode))
+        title = f"{self.scene.name} fitted to {', '.join(path.name for path in self.targets)}"
+        write_report(report_file, result, views, title=title, options=options, transfer=self.decode)
         with written_whole(numbers_file) as draft:
             draft.write_text(json.dumps(_numbers(result), indent=2) + "\n")
 

@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from .files import existing, spare
+from .cameras import camera_of
+from .files import existing, picture_path, spare
 from .options import Precision, Reading, ScenePath, SharedReading, use_precision
 from .progress import stages
 
@@ -45,11 +46,11 @@ class Render:
         """Write the picture."""
         existing(self.scene)
         spare([self.scene], [self.output])
-        picture_size(self.width, self.height, self.samples)
+        picture_path(self.output)
         with stages(4) as stage:
             use_precision(self.precision)
             stage(f"reading {self.scene}")
-            from jaxlight import load, rasterize, render, write_image
+            from jaxlight import encode, load, rasterize, render, write_image
 
             scene = load(self.scene)
             camera = camera_of(scene, self.viewpoint)
@@ -58,5 +59,6 @@ class Render:
             stage("shading")
             picture = render(scene, samples, self.reading.lighting_options())
             stage(f"writing {self.output}")
+            self.output.parent.mkdir(parents=True, exist_ok=True)
             write_image(self.output, encode(picture, self.encode))
         return 0

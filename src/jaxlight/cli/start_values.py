@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def with_start_values(scene: Scene, assignments: Sequence[str]) -> Scene:
-    """The scene with the numbers that `PATH=VALUE` texts give: one number for all that a path means, or one a component.
+    """The scene with the numbers that `PATH=VALUE` texts give: one for all, or one a component.
 
     Raises:
         ValueError: no such field, not numbers, the wrong count, or out of the field's range.

@@ -1,0 +1,234 @@
+"""The report of a fit: one HTML file that needs nothing beside it, for a person to look at and to keep.
+
+Pictures (target, model, difference), what happened step by step, and every free number with its start, value and range.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import html
+import io
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from PIL import Image
+
+from ..formats.safe_write import written_whole
+from ..image import encode, render, resolve
+from ..image.encode import Transfer
+from ..lighting import LightingOptions
+from ..scene.paths import LIGHT_KINDS, light_rows
+from ..scene.scene import Flags, Scene
+from .fitting import Fit, Step
+from .views import View
+
+
+class ViewPictures(NamedTuple):
+    """One view as a report shows it. [height, width, 3], row 0 at the top, in the numbers of the target."""
+
+    name: str
+    target: np.ndarray
+    model: np.ndarray
+    used: np.ndarray
+    """[height, width]: True where the fit looked."""
+
+
+def write_report(
+    path: str | Path,
+    result: Fit,
+    views: View | Sequence[View],
+    *,
+    title: str = "Fit",
+    options: LightingOptions | None = None,
+    transfer: Transfer = "none",
+) -> None:
+    """Write the report page (written whole or not at all).
+
+    Args:
+        path: the .html file.
+        result: what `fit` returned.
+        views: the views that it was given.
+        title: the page's heading.
+        options: readings of the specification, as `fit` was given them.
+        transfer: "srgb" if the views' numbers are linear light, so that they look right on the page.
+    """
+    page = report_page(result, view_pictures(result, views, options), title=title, transfer=transfer)
+    with written_whole(Path(path)) as draft:
+        draft.write_text(page, encoding="utf-8")
+
+
+def view_pictures(
+    result: Fit, views: View | Sequence[View], options: LightingOptions | None = None
+) -> list[ViewPictures]:
+    """What the views show and what the fitted scene makes of them; views whose samples have no pixels are left out."""
+    each = [views] if isinstance(views, View) else list(views)
+    return [
+        _pictures_of_view(result.scene, float(result.exposure[row]), view, f"View[{view.name or row}]", options)
+        for row, view in enumerate(each)
+        if view.samples.pixel_slots is not None
+    ]
+
+
+def _pictures_of_view(
+    scene: Scene, exposure: float, view: View, name: str, options: LightingOptions | None
+) -> ViewPictures:
+    samples = view.samples
+    covered = np.asarray(resolve(np.ones(samples.count), samples), np.float64)
+
+    def as_picture(values: Any) -> np.ndarray:
+        """[height, width, 1 or 3] of what a View takes as a picture or as rows in sample order."""
+        array = np.asarray(values, np.float64)
+        if array.shape[:2] != covered.shape:
+            rows = array[:, None] if array.ndim == 1 else array
+            array = np.asarray(resolve(rows, samples)) / np.maximum(covered, 1e-12)[..., None]
+        return array if array.ndim == 3 else array[..., None]
+
+    used = covered > (1 - 1e-6 if view.background is None else 0)
+    for field in (view.mask, view.weight):
+        if field is not None:
+            used &= np.any(as_picture(field) > 0, axis=-1)
+    target = np.broadcast_to(as_picture(view.target), (*covered.shape, 3))
+    model = exposure * np.asarray(render(_lit_by(scene, view.lights), samples, options), np.float64)
+    return ViewPictures(name, np.nan_to_num(target), model, used)
+
+
+def _lit_by(scene: Scene, lights: Sequence[str] | None) -> Scene:
+    """The scene with all other lights switched off."""
+    if lights is None:
+        return scene
+    rows = light_rows(scene, lights)
+    for attribute, kind in zip(("directional", "point", "spot"), LIGHT_KINDS, strict=True):
+        owner = getattr(scene, attribute)
+        if owner is not None:
+            shining = owner.on.array & np.isin(np.arange(len(owner.on.array)), rows[kind])
+            scene = dataclasses.replace(scene, **{attribute: dataclasses.replace(owner, on=Flags(shining))})
+    return scene
+
+
+def report_page(result: Fit, pictures: Sequence[ViewPictures], *, title: str, transfer: Transfer = "none") -> str:
+    """The page as text."""
+    verdict = "good" if result.converged else "bad"
+    seconds = result.history[-1].seconds if result.history else 0.0
+    return f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>
+<h1>{html.escape(title)}</h1>
+<p class="{verdict}">{html.escape(result.message)}</p>
+<p>{len(result.labels)} free numbers, {result.description.residuals} residuals, {seconds:.2f} s with compilation.</p>
+<h2>Pictures</h2>
+{"".join(_view_section(one, transfer) for one in pictures) or "<p>Samples without pixels: nothing to show.</p>"}
+<h2>Steps</h2>
+{_convergence_chart(result.history)}
+{_steps_table(result.history)}
+<h2>Free numbers</h2>
+{_numbers_table(result)}
+</body></html>
+"""
+
+
+def _view_section(view: ViewPictures, transfer: Transfer) -> str:
+    difference = np.where(view.used[..., None], view.model - view.target, 0.0)
+    largest = float(np.max(np.abs(difference)))
+    rms = float(np.sqrt(np.mean(difference[view.used] ** 2))) if np.any(view.used) else math.nan
+    shown = np.where(view.used[..., None], _diverging(difference.mean(axis=-1) / (largest or 1.0)), 0.5)
+    figures = [
+        ("target", encode(view.target, transfer)),
+        ("model", encode(view.model, transfer)),
+        (f"model - target, blue -{largest:.3g} to red +{largest:.3g}; grey: not looked at", shown),
+    ]
+    cells = "".join(f"<figure>{_png(image)}<figcaption>{caption}</figcaption></figure>" for caption, image in figures)
+    return f"<h3>{html.escape(view.name)}: difference RMS {rms:.3g}, largest {largest:.3g}</h3><div>{cells}</div>"
+
+
+def _png(image: Any) -> str:
+    levels = np.rint(np.clip(np.asarray(image), 0, 1) * 255).astype(np.uint8)
+    data = io.BytesIO()
+    Image.fromarray(levels).save(data, "PNG")
+    return f'<img src="data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}" alt="">'
+
+
+def _diverging(values: np.ndarray) -> np.ndarray:
+    """[-1, 1] to blue, white, red."""
+    size = np.abs(values)[..., None]
+    end = np.where(values[..., None] > 0, (0.70, 0.02, 0.12), (0.02, 0.19, 0.58))
+    return (1 - size) + size * end
+
+
+def _convergence_chart(history: Sequence[Step]) -> str:
+    """Residual RMS over the evaluations, logarithmic."""
+    points = [(step.step, step.rms, step.accepted) for step in history if step.rms > 0 and math.isfinite(step.rms)]
+    if len(points) < 2:
+        return ""
+    width, height, left, bottom = 640, 220, 60, 30
+    logs = [math.log10(rms) for _, rms, _ in points]
+    low, high = math.floor(min(logs)), max(math.ceil(max(logs)), math.floor(min(logs)) + 1)
+    last = max(points[-1][0], 1)
+
+    def place(step: int, log: float) -> tuple[float, float]:
+        x = left + step / last * (width - left - 10)
+        return x, 10 + (high - log) / (high - low) * (height - bottom - 10)
+
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(p[0], log) for p, log in zip(points, logs, strict=True)))
+    dots = "".join(
+        f'<circle cx="{place(step, log)[0]:.1f}" cy="{place(step, log)[1]:.1f}" r="3" '
+        f'fill="{"#1b6ca8" if accepted else "#fff"}" stroke="#1b6ca8"/>'
+        for (step, _, accepted), log in zip(points, logs, strict=True)
+    )
+    grid = "".join(
+        f'<line x1="{left}" x2="{width - 10}" y1="{place(0, e)[1]:.1f}" y2="{place(0, e)[1]:.1f}" stroke="#ddd"/>'
+        f'<text x="{left - 8}" y="{place(0, e)[1] + 4:.1f}" text-anchor="end">1e{e}</text>'
+        for e in range(low, high + 1)
+    )
+    ends = "".join(
+        f'<text x="{place(step, low)[0]:.1f}" y="{height - 8}" text-anchor="middle">{step}</text>'
+        for step in (0, points[-1][0])
+    )
+    return (
+        f'<svg viewBox="0 0 {width} {height}" width="{width}" role="img" aria-label="residual by step">{grid}{ends}'
+        f'<polyline points="{path}" fill="none" stroke="#1b6ca8"/>{dots}</svg>'
+        "<p>Residual RMS by step; open circles: steps that were tried and refused.</p>"
+    )
+
+
+def _steps_table(history: Sequence[Step]) -> str:
+    rows = "".join(
+        f"<tr><td>{step.step}</td><td>{'taken' if step.accepted else 'refused'}</td><td>{step.rms:.6g}</td>"
+        f"<td>{step.gradient:.2e}</td><td>{step.damping:.1e}</td><td>{step.seconds:.2f}</td></tr>"
+        for step in history
+    )
+    heads = ("step", "", "residual RMS", "gradient", "damping", "seconds")
+    return f"<table>{_heads(heads)}{rows}</table>"
+
+
+def _numbers_table(result: Fit) -> str:
+    parameters = result.problem.parameters
+    start, lower, upper = (np.asarray(a, np.float64) for a in (parameters.start, parameters.lower, parameters.upper))
+    rows = []
+    for i, label in enumerate(result.labels):
+        value = float(result.values[i])
+        note = "at its bound" if value <= lower[i] or value >= upper[i] else ""
+        rows.append(
+            f"<tr><td>{html.escape(label)}</td><td>{start[i]:.6g}</td><td>{value:.6g}</td>"
+            f"<td>{lower[i]:.3g} to {upper[i]:.3g}</td><td>{note}</td></tr>"
+        )
+    return f"<table>{_heads(('number', 'start', 'fitted', 'range', ''))}{''.join(rows)}</table>"
+
+
+def _heads(names: Sequence[str]) -> str:
+    return "<tr>" + "".join(f"<th>{name}</th>" for name in names) + "</tr>"
+
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; color: #222 }
+figure { display: inline-block; margin: 0 1rem 1rem 0; width: 21rem; vertical-align: top }
+img { width: 100%; image-rendering: auto; border: 1px solid #ccc }
+figcaption { font-size: 85%; color: #555 }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums }
+td, th { padding: .15rem .9rem .15rem 0; text-align: right; border-bottom: 1px solid #eee }
+td:first-child, th:first-child { text-align: left }
+.good { color: #17692f; font-weight: 600 } .bad { color: #a01c1c; font-weight: 600 }
+svg text { font-size: 11px; fill: #555 }
+"""
