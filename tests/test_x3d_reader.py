@@ -408,6 +408,14 @@ def test_a_singular_transform_is_an_error_of_the_file(tmp_path: Path) -> None:
         load(path)
 
 
+def test_transforms_that_overflow_together_are_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    inner = "<Transform DEF='b' scale='1e99 1e99 1e99'><Shape/></Transform>"
+    path.write_text(x3d("<Transform scale='1e99 1e99 1e99'>" * 3 + inner + "</Transform>" * 3))
+    with pytest.raises(SceneFileError, match=r"Transform\[b\]: with the transforms above it"):
+        load(path)
+
+
 ENTITY_BOMB = "<!DOCTYPE X3D [<!ENTITY a 'aaaaaaaaaa'><!ENTITY b '&a;&a;&a;&a;&a;&a;'>]>\n<X3D><Scene DEF='&b;'/></X3D>"
 EXTERNAL_ENTITY = "<!DOCTYPE X3D [<!ENTITY a SYSTEM 'file:///etc/passwd'>]>\n<X3D><Scene DEF='&a;'/></X3D>"
 

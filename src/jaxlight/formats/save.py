@@ -96,7 +96,7 @@ def _new_file(
     try:
         parse_xml(plan.path, data)
     except ValueError as error:
-        raise ValueError(f"save: a name or text in the scene holds what XML cannot: {error}") from None
+        raise ValueError(f"save: the scene cannot be written as XML: {error}") from None
     return data
 
 

@@ -53,7 +53,11 @@ class _Walk:
                 own = transform_matrix(node)
                 if not np.all(np.isfinite(own)) or abs(np.linalg.det(own[:, :3])) < 1e-30:
                     raise ValueError(f"{node.label}: its matrix cannot be inverted (scale {node.scale})")
-                self.enter(node.children, compose(to_world, own), above)
+                with np.errstate(over="ignore", invalid="ignore"):
+                    placed = compose(to_world, own)
+                if not np.all(np.isfinite(placed)):
+                    raise ValueError(f"{node.label}: with the transforms above it the numbers become too large")
+                self.enter(node.children, placed, above)
             case nodes.Group():
                 self.enter(node.children, to_world, above)
             case nodes.Switch():

@@ -468,11 +468,19 @@ del NODE_TYPES["Node"]
 
 def nodes_equal(a: Any, b: Any) -> bool:
     """True if two nodes (or tuples of nodes, or field values) have the same kinds and the same content."""
-    if isinstance(a, Node) or isinstance(b, Node):
-        if type(a) is not type(b):
+    waiting: list[tuple[Any, Any]] = [(a, b)]
+    compared: set[tuple[int, int]] = set()
+    while waiting:
+        a, b = waiting.pop()
+        if isinstance(a, Node) and type(a) is type(b):
+            if (id(a), id(b)) not in compared:  # nodes used again are compared once
+                compared.add((id(a), id(b)))
+                waiting += [(getattr(a, field.name), getattr(b, field.name)) for field in dataclasses.fields(a)]  # type: ignore[arg-type]
+        elif isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b):
+            waiting += zip(a, b, strict=True)
+        elif isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+            if not np.array_equal(a, b):  # type: ignore[arg-type]
+                return False
+        elif a != b:
             return False
-        names = [field.name for field in dataclasses.fields(a)]
-        return all(nodes_equal(getattr(a, name), getattr(b, name)) for name in names)
-    if isinstance(a, tuple) and isinstance(b, tuple):
-        return len(a) == len(b) and all(nodes_equal(x, y) for x, y in zip(a, b, strict=True))
-    return bool(np.array_equal(a, b)) if isinstance(a, np.ndarray) or isinstance(b, np.ndarray) else a == b
+    return True
