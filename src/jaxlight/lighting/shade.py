@@ -26,10 +26,12 @@ from .stages import Stage
 from .surface import MaterialRow, alpha, base_color, sampled_texture
 from .terms import Geometry, Received, fogged, geometry, lit, received
 from .vectors import Vector
-from .world import WorldFog, WorldLights, fog_in_world, in_chunks, lights_in_world
+from .world import WorldFog, WorldLights, fog_in_world, in_chunks, lights_in_world, on_lanes
 
 PLANE = 8192
 """Lights times samples that are evaluated at once: what a tile's planes may hold to stay in the cache."""
+
+LANES = 64
 
 
 def shade(
@@ -132,7 +134,7 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan) -> Prepared:
             world.append(None)
             scopes.append(None)
             continue
-        world.append(lights_in_world(lights, light_plan, dtype, samples.camera_to_world))
+        world.append(lights_in_world(lights, light_plan, dtype, samples.camera_to_world, lanes_of(samples)))
         rows = slice(None) if light_plan.rows is None else np.asarray(light_plan.rows)
         scopes.append(jnp.asarray(lights.in_scope.array[:, rows]) if light_plan.scoped else None)
     return Prepared(
@@ -141,7 +143,9 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan) -> Prepared:
         point=world[1],
         spot=world[2],
         scopes=tuple(scopes),  # type: ignore[arg-type]  # three of them
-        fog=None if plan.fog is None or scene.fog is None else fog_in_world(scene.fog, plan.fog, dtype),
+        fog=None
+        if plan.fog is None or scene.fog is None
+        else fog_in_world(scene.fog, plan.fog, dtype, lanes_of(samples)),
         textures=tuple(texture.image for texture in scene.textures),
         surfaces=scene.surfaces,
     )
@@ -178,6 +182,11 @@ def map_tiles(
     return jax.tree.map(lambda a: jnp.moveaxis(a, 0, -2).reshape(*a.shape[1:-1], -1), results)
 
 
+def lanes_of(samples: SampleBuffer) -> int:
+    """Lanes on which a tile's samples, and copies of every number, are spread (see WorldLights)."""
+    return min(LANES, samples.tile)
+
+
 def tile_of(plane: Array, index: Array, tile: int) -> Array:
     """Columns of tile `index` of an array [..., slots]."""
     return lax.dynamic_slice_in_dim(plane, index * tile, tile, axis=-1)
@@ -185,23 +194,26 @@ def tile_of(plane: Array, index: Array, tile: int) -> Array:
 
 def tile_color(run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, index: Array) -> Color:
     """The equation on one tile."""
-    dtype, tile = compute_dtype(samples), samples.tile
+    dtype, tile, lanes = compute_dtype(samples), samples.tile, lanes_of(samples)
     stage = Stage(index >= 0 if run.stop - run.start > 1 else samples.tile_surface[0] >= 0)
 
-    def cut(plane: Array) -> Array:
-        return stage(lambda: tile_of(plane, index, tile).astype(dtype))
+    def cut(plane: Array, kind: jnp.dtype = dtype) -> Array:
+        """The tile's part of a plane, [..., rows, lanes]."""
+        return stage(lambda: tile_of(plane, index, tile).astype(kind).reshape(*plane.shape[:-1], -1, lanes))
 
     position = Vector(*cut(samples.position_planes))
     normal = Vector(*cut(samples.normal_planes))
     surface = run.surface
     row = samples.tile_surface[index] if run.single is None else run.single
-    material = _material_row(prepared, surface, row, run.single)
+    material = _material_row(prepared, surface, row, run.single, lanes)
     vertex_color = texel = None
     if surface.color_components:
         vertex_color = cut(samples.color_planes)
     if surface.texture >= 0 and surface.lighting != "emissive":
         weight = cut(samples.texel_weight)
-        texel = sampled_texture(prepared.textures[surface.texture], tile_of(samples.texel_index, index, tile), weight)
+        texel = sampled_texture(
+            prepared.textures[surface.texture], cut(samples.texel_index, jnp.dtype(jnp.int32)), weight
+        )
     low, high = samples.tile_low[:, index].astype(dtype), samples.tile_high[:, index].astype(dtype)
     ground = geometry(stage, position, normal, samples.eye.astype(dtype), low, high)
     is_lit = surface.lighting == "lit"
@@ -213,20 +225,20 @@ def tile_color(run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, 
             color = lit(material, color, light, emissive=plan.emissive)
         if plan.fog is not None and (is_lit or plan.options.fog_unlit):
             color = fogged(color, prepared.fog, plan.fog.fog_type, ground)
-        return jnp.broadcast_to(color, (3, tile)).astype(dtype)
+        return jnp.broadcast_to(color, (3, tile // lanes, lanes)).astype(dtype)
 
     opacity = alpha(plan.options, material, vertex_color, texel)
-    ones = jnp.ones((tile,), dtype)
-    return Color(stage(rgb), ones if opacity is None else (opacity * ones).astype(dtype))
+    opacity = jnp.broadcast_to(1.0 if opacity is None else opacity, (tile // lanes, lanes)).astype(dtype)
+    return Color(stage(rgb).reshape(3, tile), opacity.reshape(tile))
 
 
-def _material_row(prepared: Prepared, surface: Surface, row: Any, single: int | None) -> MaterialRow | None:
+def _material_row(prepared: Prepared, surface: Surface, row: Any, single: int | None, lanes: int) -> MaterialRow | None:
     """The material of a surface row; a known row needs no lookup."""
     if surface.material < 0 or prepared.materials is None:
         return None
     rows = np.array([other.material for other in prepared.surfaces])
     material = rows[single] if single is not None else jnp.asarray(rows)[row]
-    return MaterialRow(*(getattr(prepared.materials, name)[material] for name in MaterialRow._fields))
+    return MaterialRow(*(on_lanes(getattr(prepared.materials, name)[material], lanes) for name in MaterialRow._fields))
 
 
 def _light(
@@ -253,8 +265,7 @@ def _scoped(lights: WorldLights, in_scope: Array) -> WorldLights:
 def _light_of_kind(stage: Stage, lights: WorldLights, tile: Geometry, material: MaterialRow, plan: Plan) -> Received:
     """`received`, over so many lights at once that their planes stay in the cache."""
     options = {"specular": plan.specular, "specular_gate": plan.options.specular_gate}
-    samples = tile.position.x.shape[0]
-    chunk = max(1, PLANE // samples)
+    chunk = max(1, PLANE // tile.position.x.size)
     if lights.count <= chunk:
         return received(stage, lights, tile, material, **options)
     chunks = in_chunks(lights, chunk)
@@ -262,7 +273,7 @@ def _light_of_kind(stage: Stage, lights: WorldLights, tile: Geometry, material: 
     def add(total: Received, some: WorldLights) -> tuple[Received, None]:
         return total + received(stage, some, tile, material, **options), None
 
-    dark = jnp.zeros((3, samples), tile.position.x.dtype)
+    dark = jnp.zeros((3, *tile.position.x.shape), tile.position.x.dtype)
     total, _ = lax.scan(add, Received(dark, dark if plan.specular else None), chunks)
     return total
 

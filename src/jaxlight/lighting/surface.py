@@ -12,7 +12,7 @@ from .options import LightingOptions
 
 
 class MaterialRow(NamedTuple):
-    """One material's fields, colours [3], scalars []."""
+    """One material's fields on all lanes: colours [3, 1, lanes], scalars [1, lanes] (see WorldLights)."""
 
     ambient_intensity: Array
     diffuse_color: Array
@@ -24,18 +24,18 @@ class MaterialRow(NamedTuple):
 
 def sampled_texture(
     image: Float[Array, "height width components"], index: Array, weight: Array
-) -> Float[Array, "components samples"]:
-    """The texture at each sample: four texels [4, samples] and their weights."""
+) -> Float[Array, "components rows lanes"]:
+    """The texture at each sample: four texels [4, rows, lanes] and their weights."""
     texels = image.reshape(-1, image.shape[2])
-    return jnp.einsum("kn,knc->cn", weight, texels[index].astype(weight.dtype))
+    return jnp.einsum("krw,krwc->crw", weight, texels[index].astype(weight.dtype))
 
 
 def base_color(
     surface: Surface,
     options: LightingOptions,
     material: MaterialRow | None,
-    vertex_color: Float[Array, "components samples"] | None,
-    texel: Float[Array, "components samples"] | None,
+    vertex_color: Float[Array, "components rows lanes"] | None,
+    texel: Float[Array, "components rows lanes"] | None,
 ) -> Float[
     Array,
     (
@@ -50,9 +50,9 @@ def base_color(
     if vertex_color is not None:
         own = vertex_color[:3]
     elif material is None:
-        own = jnp.ones((3, 1), dtype=jnp.float32 if texel is None else texel.dtype)
+        own = jnp.ones((3, 1, 1), dtype=jnp.float32 if texel is None else texel.dtype)
     else:
-        own = (material.emissive_color if surface.lighting == "emissive" else material.diffuse_color)[:, None]
+        own = material.emissive_color if surface.lighting == "emissive" else material.diffuse_color
     if texel is None:
         return own
     if texel.shape[0] <= 2:
@@ -63,15 +63,15 @@ def base_color(
 def alpha(
     options: LightingOptions,
     material: MaterialRow | None,
-    vertex_color: Float[Array, "components samples"] | None,
-    texel: Float[Array, "components samples"] | None,
-) -> Float[Array, "#samples"] | None:
+    vertex_color: Float[Array, "components rows lanes"] | None,
+    texel: Float[Array, "components rows lanes"] | None,
+) -> Float[Array, "#rows #lanes"] | None:
     """A of tables 17.2 and 17.3; None: 1. A vertex colour's alpha takes the place of 1 - transparency."""
     own = None
     if vertex_color is not None and vertex_color.shape[0] == 4:
         own = vertex_color[3]
     elif material is not None:
-        own = (1.0 - material.transparency)[None]
+        own = 1.0 - material.transparency
     if texel is None or texel.shape[0] not in (2, 4):
         return own
     return texel[-1] * own if options.texture_mode == "modulate" and own is not None else texel[-1]

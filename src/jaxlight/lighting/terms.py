@@ -3,7 +3,7 @@
 I = I_F (1 - f0) + f0 (O_E + sum_i on_i attenuation_i spot_i I_L,i (ambient_i + diffuse_i + specular_i))
 
 Letters: p position, n unit normal, v unit vector to the viewer, l unit vector to the light, d_l and d_v distances.
-Samples lie along the last axis; lights along the one before.
+Planes of samples are [rows, lanes], planes of lights and samples [lights, rows, lanes].
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .world import WorldFog, WorldLights
 
 
 class Geometry(NamedTuple):
-    """What a tile of samples knows of itself and the viewer; planes [samples]."""
+    """What a tile of samples knows of itself and the viewer; planes [rows, lanes]."""
 
     position: Vector
     low: Array
@@ -47,7 +47,7 @@ def geometry(stage: Stage, position: Vector, normal: Vector, eye: Float[Array, 3
 
 
 class Received(NamedTuple):
-    """Light that a tile receives, [3, samples]: sums over lights of colour times weight."""
+    """Light that a tile receives, [3, rows, lanes]: sums over lights of colour times weight."""
 
     diffuse: Array
     """What multiplies O_D: the ambient and diffuse terms."""
@@ -73,18 +73,19 @@ def received(
 
     from_diffuse = _sum_of_colors(lights.direct, stage(facing))
     if lights.ambient is not None:
-        ambient = lights.ambient * material.ambient_intensity
         if reaching is None:
-            from_diffuse = from_diffuse + jnp.sum(ambient, axis=1, keepdims=True)
+            ambient = jnp.sum(lights.ambient, axis=1)[:, None, None]
         else:
-            from_diffuse = from_diffuse + _sum_of_colors(ambient, reaching)
+            ambient = _sum_of_colors(lights.ambient, reaching)
+        from_diffuse = from_diffuse + ambient * material.ambient_intensity
     if not specular:
         return Received(from_diffuse, None)
+    exponent = 128.0 * material.shininess
     inverse = stage(lambda: inverse_length_in_range(l() + tile.to_viewer))
     log_cosine = stage(lambda: factors.log_cosine(tile.normal, l() + tile.to_viewer, inverse))
 
     def highlight() -> Array:
-        power = factors.highlight(log_cosine, 128.0 * material.shininess)
+        power = factors.highlight(log_cosine, exponent)
         return _times(reaching, jnp.where(dot(tile.normal, l()) > 0, power, 0.0) if specular_gate else power)
 
     return Received(from_diffuse, _sum_of_colors(lights.direct, stage(highlight)))
@@ -130,7 +131,7 @@ def _light_vector(stage: Stage, lights: WorldLights, tile: Geometry) -> tuple[Ca
 
 def _squares_in_range(place: Vector, tile: Geometry) -> Array:
     """True if the squared distance of every light to every sample of the tile is a normal number, by its bounds."""
-    places = jnp.stack([component[..., 0] for component in place], axis=-1)
+    places = jnp.stack([component[..., 0, 0] for component in place], axis=-1)
     below, above = tile.low - places, places - tile.high
     nearest = jnp.max(jnp.maximum(below, above), axis=-1)
     farthest = jnp.max(jnp.maximum(jnp.abs(places - tile.low), jnp.abs(places - tile.high)), axis=-1)
@@ -142,51 +143,31 @@ def _times(factor: Array | None, value: Array) -> Array:
     return value if factor is None else factor * value
 
 
-def _sum_of_colors(colors: Float[Array, "3 lights"], weights: Float[Array, "lights samples"]) -> Array:
-    """Sum over lights of color * weight, [3, samples], in full precision on every backend."""
-    if colors.shape[1] == 1:
-        return colors * weights
-    return jnp.dot(colors, weights, precision=lax.Precision.HIGHEST)
+def _sum_of_colors(colors: Float[Array, "3 lights"], weights: Float[Array, "lights rows lanes"]) -> Array:
+    """Sum over lights of color * weight, [3, rows, lanes], in full precision on every backend."""
+    lights, rows, lanes = weights.shape
+    if lights == 1:
+        return jnp.broadcast_to(colors[:, :, None], (3, 1, lanes)) * weights
+    flat = jnp.dot(colors, weights.reshape(lights, -1), precision=lax.Precision.HIGHEST)
+    return flat.reshape(3, rows, lanes)
 
 
 def lit(
-    material: MaterialRow,
-    diffuse_color: Float[
-        Array,
-        (
-            3  # samples
-        ),
-    ],
-    light: Received | None,
-    *,
-    emissive: bool,
-) -> Float[
-    Array,
-    (
-        3  # samples
-    ),
-]:
-    """O_E + O_D * (ambient and diffuse light) + O_S * (specular light)."""
-    color = material.emissive_color[:, None] if emissive else jnp.zeros_like(material.emissive_color)[:, None]
+    material: MaterialRow, diffuse_color: Float[Array, "3 #rows #lanes"], light: Received | None, *, emissive: bool
+) -> Float[Array, "3 #rows #lanes"]:
+    """O_E + O_D * (ambient and diffuse light) + O_S * (specular light); the material's colours on all lanes."""
+    color = material.emissive_color if emissive else jnp.zeros_like(material.emissive_color)
     if light is None:
         return color
     color = color + diffuse_color * light.diffuse
-    return color if light.specular is None else color + material.specular_color[:, None] * light.specular
+    return color if light.specular is None else color + material.specular_color * light.specular
 
 
 def fogged(
-    color: Float[
-        Array,
-        (
-            3  # samples
-        ),
-    ],
-    fog: WorldFog,
-    fog_type: str,
-    tile: Geometry,
-) -> Float[Array, "3 samples"]:
+    color: Float[Array, "3 #rows #lanes"], fog: WorldFog, fog_type: str, tile: Geometry
+) -> Float[Array, "3 rows lanes"]:
     """I_F (1 - f0) + f0 color, with d_V measured in the fog's coordinate system."""
     distance = tile.distance if fog.to_local is None else unit(transform(fog.to_local, tile.offset))[1]
     interpolant = factors.linear_fog if fog_type == "LINEAR" else factors.exponential_fog
     clear, hidden = interpolant(distance, fog.visibility_range)
-    return fog.color[:, None] * hidden + clear * color
+    return fog.color * hidden + clear * color

@@ -19,7 +19,11 @@ from .vectors import Vector, transform, unit
 
 
 class WorldLights(eqx.Module):
-    """Lights of one kind in world space; planes of shape [lights, 1], to broadcast against samples."""
+    """Lights of one kind in world space; planes of shape [lights, 1, lanes], to broadcast against samples [rows, lanes].
+
+    Every lane holds the same numbers. Their derivatives then add up lane by lane, which the processor does at once,
+    and the lanes are summed once at the end instead of in every tile.
+    """
 
     direct: Float[Array, "3 lights"]
     """color * intensity."""
@@ -29,16 +33,16 @@ class WorldLights(eqx.Module):
     """Directional lights: unit L."""
     place: Vector | None
     """Point and spot lights: location."""
-    to_local: Float[Array, "lights 1 3 3"] | None
+    to_local: Float[Array, "lights 1 1 3 3"] | None
     """World vectors to the light's frame, where distances are measured; None: `unit_length` tells it."""
-    unit_length: Float[Array, "lights 1"] | None
+    unit_length: Float[Array, "lights 1 lanes"] | None
     """World length of one unit of the light's frame; None: 1."""
     attenuation: tuple[Array, Array, Array] | None
-    radius: Float[Array, "lights 1"] | None
+    radius: Float[Array, "lights 1 lanes"] | None
     axis: Vector | None
     """Spot lights: unit direction."""
-    beam_width: Float[Array, "lights 1"] | None
-    cut_off_angle: Float[Array, "lights 1"] | None
+    beam_width: Float[Array, "lights 1 lanes"] | None
+    cut_off_angle: Float[Array, "lights 1 lanes"] | None
 
     @property
     def count(self) -> int:
@@ -47,10 +51,10 @@ class WorldLights(eqx.Module):
 
 
 class WorldFog(eqx.Module):
-    """The bound fog; `to_local` None: its frame measures distances as the world does."""
+    """The bound fog, on all lanes; `to_local` None: its frame measures distances as the world does."""
 
-    color: Float[Array, 3]
-    visibility_range: Float[Array, ""]
+    color: Float[Array, "3 1 lanes"]
+    visibility_range: Float[Array, "1 lanes"]
     to_local: Float[Array, "3 3"] | None
 
 
@@ -59,6 +63,7 @@ def lights_in_world(
     plan: LightPlan,
     dtype: jnp.dtype,
     camera_to_world: Float[Array, "3 3"] | None,
+    lanes: int,
 ) -> WorldLights:
     """The lights that the plan keeps, in world space, in the given float type."""
     keep = jnp.asarray(plan.rows, dtype=jnp.int32) if plan.rows is not None else slice(None)
@@ -66,15 +71,12 @@ def lights_in_world(
     def field(values: Array) -> Array:
         return values[keep].astype(dtype)
 
-    def column(values: Array) -> Array:
-        return field(values)[:, None]
-
     def planes(values: Array) -> Vector:
         rows = field(values)
-        return Vector(rows[:, None, 0], rows[:, None, 1], rows[:, None, 2])
+        return Vector(*(on_lanes(rows[:, i], lanes) for i in range(3)))
 
     to_world = lights.to_world[keep].astype(dtype)
-    linear = to_world[:, None, :, :3]
+    linear = to_world[:, None, None, :, :3]
     color = field(lights.color).T
     direct = color * field(lights.intensity)
     ambient = color * field(lights.ambient_intensity) if plan.ambient else None
@@ -94,7 +96,7 @@ def lights_in_world(
     local_place = planes(lights.location)
     place = local_place
     if plan.frame != "identity":
-        place = transform(linear, local_place) + Vector(*(to_world[:, None, i, 3] for i in range(3)))
+        place = transform(linear, local_place) + Vector(*(to_world[:, None, None, i, 3] for i in range(3)))
     spot = isinstance(lights, SpotLights)
     coefficients = None
     if plan.attenuation:
@@ -102,29 +104,34 @@ def lights_in_world(
         coefficients = (c1, c2, c3 if plan.attenuation == "quadratic" else jnp.zeros_like(c3))
     scale = None
     if plan.frame == "similarity":
-        scale = jnp.sqrt(jnp.sum(to_world[:, :, 0] ** 2, axis=1))[:, None]
+        scale = on_lanes(jnp.sqrt(jnp.sum(to_world[:, :, 0] ** 2, axis=1)), lanes)
     return WorldLights(
         direct=direct,
         ambient=ambient,
         towards=None,
         place=place,
-        to_local=lights.to_local[keep].astype(dtype)[:, None] if plan.frame == "general" else None,
+        to_local=field(lights.to_local)[:, None, None] if plan.frame == "general" else None,
         unit_length=scale,
         attenuation=coefficients,
-        radius=column(lights.radius) if plan.radius else None,
+        radius=on_lanes(field(lights.radius), lanes) if plan.radius else None,
         axis=world_direction(lights.direction) if spot else None,
-        beam_width=column(lights.beam_width) if spot else None,
-        cut_off_angle=column(lights.cut_off_angle) if spot else None,
+        beam_width=on_lanes(field(lights.beam_width), lanes) if spot else None,
+        cut_off_angle=on_lanes(field(lights.cut_off_angle), lanes) if spot else None,
     )
 
 
-def fog_in_world(fog: Fog, plan: FogPlan, dtype: jnp.dtype) -> WorldFog:
+def fog_in_world(fog: Fog, plan: FogPlan, dtype: jnp.dtype, lanes: int) -> WorldFog:
     """The fog in the given float type."""
     return WorldFog(
-        fog.color.astype(dtype),
-        fog.visibility_range.astype(dtype),
+        on_lanes(fog.color.astype(dtype), lanes),
+        on_lanes(fog.visibility_range.astype(dtype), lanes),
         None if plan.identity_frame else fog.to_local.astype(dtype),
     )
+
+
+def on_lanes(value: Float[Array, "..."], lanes: int) -> Float[Array, "... 1 lanes"]:
+    """A number or colour, the same on all lanes (see WorldLights)."""
+    return jnp.broadcast_to(value[..., None, None], (*value.shape, 1, lanes))
 
 
 def in_chunks(lights: WorldLights, chunk: int) -> WorldLights:
