@@ -121,8 +121,8 @@ def _rows(columns: int) -> tuple[Callable[[str], Any], Callable[[Any], str]]:
         return values.reshape(-1, columns)
 
     def write(value: np.ndarray) -> str:
-        rows = np.asarray(value)
-        return ", ".join(" ".join(float_text(x) for x in row) for row in rows)
+        rows = np.asarray(value, dtype=np.float64).tolist()
+        return ", ".join([" ".join([repr(x).removesuffix(".0") for x in row]) for row in rows])
 
     return parse, write
 
