@@ -1,0 +1,161 @@
+"""X3D files that are refused: what each error says, and the limits on size and nesting."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from jaxlight import SceneFileError, load
+from x3d_text import x3d
+
+POINTS = "<Coordinate point='0 0 0, 1 0 0, 0 1 0'/>"
+
+ERRORS = [
+    ("<Material", "malformed XML"),
+    ("<Group>\n</Transform>", "malformed XML"),
+    ("<Transform translation='1 2'/>", "Transform.translation: expected 3 numbers, got 2"),
+    ("<Transform DEF='a' translation='1 2 x'/>", r"Transform\[a\].translation: 'x' is not a number"),
+    ("<PointLight intensity='nan'/>", "'nan' is not a number"),
+    ("<PointLight location='0 0 1e999'/>", "PointLight.location: expected 3 finite numbers"),
+    ("<Shape><Sphere radius='-1'/></Shape>", "Sphere.radius: expected a finite number > 0"),
+    ("<Fog fogType='CUBIC'/>", "Fog.fog_type: expected 'LINEAR' or 'EXPONENTIAL'"),
+    ("<Shape><Appearance><Box/></Appearance></Shape>", "a Box cannot stand in <Appearance>"),
+    ("<Group><Material/></Group>", "a Material cannot stand in <Group>"),
+    ("<Box/>", "a Box cannot stand in <Scene>"),
+    ("<Shape><Box/><Sphere/></Shape>", "takes one node as geometry, this is the second"),
+    ("<Shape><Box containerField='appearance'/></Shape>", "a Box cannot stand in <Shape>"),
+    ("<Group USE='nobody'/>", "no node before this one has DEF='nobody'"),
+    ("<Group USE='later'/><Group DEF='later'/>", "no node before this one has DEF='later'"),
+    ("<Group DEF='a'><Group USE='a'/></Group>", "no node before this one has DEF='a'"),
+    (f"<Shape><IndexedFaceSet coordIndex='0 1 3 -1'>{POINTS}</IndexedFaceSet></Shape>", "index 3, but coord has 3"),
+    (f"<Shape><IndexedFaceSet coordIndex='0 1 -2'>{POINTS}</IndexedFaceSet></Shape>", "integers >= -1"),
+    (
+        f"<Shape><IndexedFaceSet coordIndex='0 1 2 -1' normalIndex='0 1'>{POINTS}<Normal vector='0 0 1 0 0 1'/>"
+        "</IndexedFaceSet></Shape>",
+        "normal_index: expected -1 in the same places",
+    ),
+    (
+        f"<Shape><IndexedFaceSet coordIndex='0 1 2 -1 2 1 0' colorPerVertex='false'>{POINTS}<Color color='1 0 0'/>"
+        "</IndexedFaceSet></Shape>",
+        "color: 1 entries for 2 faces",
+    ),
+    (f"<Shape><IndexedTriangleSet index='0 -1 1'>{POINTS}</IndexedTriangleSet></Shape>", "indices >= 0, got -1"),
+    (f"<Shape><IndexedTriangleSet index='0 1 5'>{POINTS}</IndexedTriangleSet></Shape>", "index 5, but coord has 3"),
+    (f"<Shape><TriangleSet>{POINTS}<Color color='1 0 0'/></TriangleSet></Shape>", "but color has 1 entries"),
+    ("<Shape><Appearance><PixelTexture image='1 1 3'/></Appearance></Shape>", "1 x 1 pixels announced, 0 given"),
+    ("<Group visible='maybe'/>", "Group.visible: expected true or false"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), ERRORS)
+def test_errors_name_file_line_and_cause(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(x3d("\n\n" + text))
+    with pytest.raises(SceneFileError, match=message) as caught:
+        load(path)
+    assert caught.value.line is not None and caught.value.line >= 5
+    assert str(caught.value).startswith(f"{path}:{caught.value.line}: ")
+    assert isinstance(caught.value, ValueError)
+
+
+def test_a_singular_transform_is_an_error_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(x3d("<Transform DEF='flat' scale='1e-20 1e-20 1e-20'/>"))
+    with pytest.raises(SceneFileError, match=r"Transform\[flat\]: its matrix cannot be inverted"):
+        load(path)
+
+
+def test_transforms_that_overflow_together_are_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    inner = "<Transform DEF='b' scale='1e99 1e99 1e99'><Shape/></Transform>"
+    path.write_text(x3d("<Transform scale='1e99 1e99 1e99'>" * 3 + inner + "</Transform>" * 3))
+    with pytest.raises(SceneFileError, match=r"Transform\[b\]: with the transforms above it"):
+        load(path)
+
+
+ENTITY_BOMB = "<!DOCTYPE X3D [<!ENTITY a 'aaaaaaaaaa'><!ENTITY b '&a;&a;&a;&a;&a;&a;'>]>\n<X3D><Scene DEF='&b;'/></X3D>"
+EXTERNAL_ENTITY = "<!DOCTYPE X3D [<!ENTITY a SYSTEM 'file:///etc/passwd'>]>\n<X3D><Scene DEF='&a;'/></X3D>"
+
+
+@pytest.mark.parametrize("text", [ENTITY_BOMB, EXTERNAL_ENTITY])
+def test_entities_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(text)
+    with pytest.raises(SceneFileError, match=":1: entities are not read"):
+        load(path)
+
+
+def test_a_document_type_is_not_fetched(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(
+        '<!DOCTYPE X3D PUBLIC "ISO//Web3D//DTD X3D 3.3//EN" "http://127.0.0.1:9/x.dtd">\n<X3D><Scene/></X3D>'
+    )
+    assert load(path).document.shapes == ()
+
+
+@pytest.mark.parametrize("text", ["<html/>", "<X3D/>", "<X3D><Group/></X3D>"])
+def test_other_documents_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(text)
+    with pytest.raises(SceneFileError, match=r"root element|no <Scene>|HTML page"):
+        load(path)
+
+
+def nested(depth: int) -> str:
+    """A document whose elements are nested `depth` deep."""
+    groups = depth - 3
+    return x3d("<Group>" * groups + "<Shape/>" + "</Group>" * groups)
+
+
+def test_nesting_up_to_400_is_read_and_deeper_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "deep.x3d"
+    path.write_text(nested(400))
+    assert len(load(path).document.shapes) == 1
+    path.write_text(nested(401))
+    with pytest.raises(SceneFileError, match="nested deeper than 400"):
+        load(path)
+    path.write_text(x3d("<Group>" * 100_000 + "</Group>" * 100_000))
+    with pytest.raises(SceneFileError, match="nested deeper than 400"):
+        load(path)
+
+
+def test_nesting_through_use_is_limited(tmp_path: Path) -> None:
+    path = tmp_path / "chain.x3d"
+    chain = "".join(f"<Switch DEF='g{i}'><Group USE='g{i - 1}'/></Switch>" for i in range(1, 1000))
+    path.write_text(x3d("<Switch DEF='g0'/>" + chain))
+    with pytest.raises(SceneFileError, match="nested deeper than 400 through USE"):
+        load(path)
+    skipped = "".join(f"<Text><Group DEF='g{i}'><Group USE='g{i + 1}'/></Group></Text>" for i in range(1000))
+    path.write_text(x3d(skipped + "<Group USE='g0'/>"))
+    with pytest.raises(SceneFileError, match="too many skipped nodes use one another"):
+        load(path)
+
+
+def test_doubling_through_use_is_limited(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.x3d"
+    doubling = "".join(
+        f"<Group DEF='g{i}'><Group USE='g{i - 1}'/><Group USE='g{i - 1}'/></Group>" for i in range(1, 60)
+    )
+    path.write_text(x3d("<Group DEF='g0'><Shape/></Group>" + doubling))
+    with pytest.raises(SceneFileError, match="more than 1000000 placed nodes"):
+        load(path)
+
+
+def test_a_file_beyond_the_size_limit_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(x3d("<Group/>" * 1000))
+    monkeypatch.setattr("jaxlight.formats.limits.MAX_FILE_BYTES", 1000)
+    with pytest.raises(SceneFileError, match="larger than"):
+        load(path)
+    monkeypatch.undo()
+    monkeypatch.setattr("jaxlight.formats.xml_elements.MAX_ELEMENTS", 500)
+    with pytest.raises(SceneFileError, match="more than 500 elements"):
+        load(path)
+
+
+def test_files_that_are_not_there(tmp_path: Path) -> None:
+    with pytest.raises(SceneFileError, match="no such file"):
+        load(tmp_path / "none.x3d")
+    with pytest.raises(SceneFileError, match="is a folder"):
+        load(tmp_path)
