@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal, NamedTuple
@@ -19,6 +20,8 @@ from .problem import Description, Problem, make_problem
 from .residuals import LossKind
 from .run import FitState, advance, begin, finished, make_solver
 from .solver import BoundedLevenbergMarquardt
+from .starts import explore, random_starts
+from .uncertainty import Uncertainty, uncertainty
 from .views import View, ViewData
 
 Outcome = Literal["converged", "max_steps", "stalled", "nonfinite", "interrupted"]
@@ -65,6 +68,11 @@ class Fit:
     problem: Problem
     description: Description
     state: FitState
+
+    @functools.cached_property
+    def uncertainty(self) -> Uncertainty:
+        """Standard errors, numbers at a bound, and what the pictures cannot tell, at the fitted values."""
+        return uncertainty(self.problem, self.description, self.values)
 
     @property
     def converged(self) -> bool:
@@ -113,6 +121,8 @@ def fit(
     max_steps: int = 100,
     rtol: float | None = None,
     atol: float | None = None,
+    starts: int = 1,
+    seed: int = 0,
     progress: Callable[[Step], Any] | None = None,
 ) -> Fit:
     """Fit the free fields of a scene to one or many views by bounded Levenberg-Marquardt.
@@ -126,6 +136,9 @@ def fit(
         options: readings of the specification, as for `shade`.
         max_steps: evaluations at most; reaching it is never reported as success.
         rtol, atol: relative and absolute tolerance of the parameters (default: what the precision can reach).
+        starts: more than 1: also begin from that many random places and directions of lights and exponents of
+            highlights, a few steps each, and carry on from the lowest.
+        seed: of the random starts.
         progress: called with a `Step` after each evaluation; an interrupt (Ctrl-C) returns the best so far.
 
     Raises:
@@ -133,6 +146,10 @@ def fit(
     """
     problem, description = make_problem(scene, views, free, loss=loss, loss_scale=loss_scale, options=options)
     solver = make_solver(problem, rtol=rtol, atol=atol)
+    if starts > 1:
+        drawn = random_starts(problem, description.fields, starts, seed)
+        state = begin(problem, solver, explore(problem, solver, drawn).best)
+        return run_fit(problem, description, solver, max_steps=max_steps, state=state, progress=progress)
     return run_fit(problem, description, solver, max_steps=max_steps, progress=progress)
 
 

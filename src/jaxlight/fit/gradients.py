@@ -112,8 +112,8 @@ def check_gradients(
         for k in np.concatenate(numbers)
     }
     with jax.enable_x64(True):
-        wide = _widen((parameters, world, samples))
-        slopes = {k: _slopes(*wide, k, options) for k in tangents}
+        wide_parameters, wide_world, wide_samples = _widen((parameters, world, samples))
+        slopes = {k: _slopes(wide_parameters, wide_world, wide_samples, k, options) for k in tangents}
 
     rows = []
     for field, own in zip(described, numbers, strict=True):

@@ -33,8 +33,8 @@ class Free:
     Args:
         where: path, function of the scene, or several of them.
         lower, upper: bounds tighter than the specification's range; a number, or one a component.
-        tied: "rows": all nodes that `where` means share one value, component by component; "all": all its numbers
-            are one number (a grey colour).
+        tied: True: all nodes that `where` means share one value, component by component; "all": all its numbers are
+            one number (a grey colour).
         mean, deviation: a Gaussian prior: what the value should be, and how far from it is one standard deviation.
             `mean` None: the start value.
     """
@@ -43,7 +43,7 @@ class Free:
     _: dataclasses.KW_ONLY
     lower: Any = None
     upper: Any = None
-    tied: Literal["rows", "all"] | None = None
+    tied: bool | Literal["all"] = False
     mean: Any = None
     deviation: Any = None
 
@@ -133,9 +133,9 @@ def free_parameters(
     for request in requests:
         chosen = _choose(world, request.where, view_names)
         rows = list(dict.fromkeys(one.path for one in chosen))
-        if request.tied not in (None, "rows", "all"):
-            raise ValueError(f"{rows[0]}: tied: expected 'rows', 'all' or None, got {request.tied!r}")
-        if request.tied == "rows":
+        if request.tied not in (True, False, "all"):
+            raise ValueError(f"{rows[0]}: tied: expected True, False or 'all', got {request.tied!r}")
+        if request.tied is True:
             _check_tie(chosen, rows)
         first_of_row: dict[int, int] = {}
         seen: dict[str, int] = {}

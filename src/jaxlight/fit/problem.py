@@ -51,7 +51,7 @@ class Description(NamedTuple):
     residuals: int
     """Number of residuals that count (weight > 0)."""
     noise_known: bool
-    """True when weights are stated to be 1 / variance."""
+    """True when every view states its noise."""
     document: Any
     """The document of the scene, which the problem does without."""
 
@@ -63,7 +63,6 @@ def make_problem(
     *,
     loss: LossKind = "squares",
     loss_scale: float | None = None,
-    noise_known: bool = False,
     options: LightingOptions | None = None,
 ) -> tuple[Problem, Description]:
     """Check everything on the host and bring it into the form that compiled code takes.
@@ -100,6 +99,7 @@ def make_problem(
         loss_kind=loss,
     )
     count = sum(int(np.count_nonzero(np.asarray(one.root_weight))) * (3 // one.root_weight.shape[0]) for one in data)
+    noise_known = all(view.noise is not None for view in each)
     return problem, Description(fields, labels, names, count, noise_known, scene.document)
 
 

@@ -52,7 +52,7 @@ class BoxDampedNewton(optx.AbstractDescent):
         zeros = jnp.zeros_like(y)
         return DescentState(zeros, zeros, jnp.zeros((y.shape[0], y.shape[0]), y.dtype), zeros)
 
-    def query(self, y: Array, f_info: optx.FunctionInfo.EvalGradHessian, state: DescentState) -> DescentState:
+    def query(self, y: Array, f_info: Any, state: DescentState) -> DescentState:
         curvature = f_info.hessian.as_matrix()
         scale = jnp.maximum(state.scale, jnp.sqrt(jnp.maximum(jnp.diagonal(curvature), 0)))
         return DescentState(y, f_info.grad, curvature, scale)
@@ -250,7 +250,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         return y, aux, {"num_accepted_steps": state.num_accepted_steps}
 
 
-def _model(loss: Array, gradient: Array, curvature: Array) -> optx.FunctionInfo.EvalGradHessian:
+def _model(loss: Array, gradient: Array, curvature: Array) -> Any:
     return optx.FunctionInfo.EvalGradHessian(loss, gradient, lx.MatrixLinearOperator(curvature))
 
 

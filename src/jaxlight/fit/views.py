@@ -28,7 +28,9 @@ class View:
         samples: the sample buffer (`rasterize`, `samples_from_maps`, `SampleBuffer.create`).
         target: [height, width, 3], row 0 at the top; or [N, 3] in sample order; without the 3 for a grey picture.
         mask: [height, width] or [N], False where the picture is not to be fitted (cast shadows, other objects).
-        weight: weight of the squared residual, >= 0, shape of the mask or of the target; 1 / variance of the noise.
+        weight: weight of the squared residual, >= 0, shape of the mask or of the target.
+        noise: standard deviation of the picture's noise, > 0, a number or shape of the mask or of the target. Weights
+            the residuals by 1 / noise^2; stated in every view, it makes standard errors absolute.
         exposure: factor between the scene's light and the picture's numbers; free it as `View[0].exposure`.
         lights: the lights that shone, such as `("PointLight[3]",)`; None: all lights of the scene.
         saturated: values at or above are lower limits (the sensor was full), not measurements.
@@ -43,6 +45,7 @@ class View:
     _: dataclasses.KW_ONLY
     mask: Any = None
     weight: Any = None
+    noise: Any = None
     exposure: float = 1.0
     lights: Sequence[str] | None = None
     saturated: float | None = None
@@ -94,6 +97,12 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         weight = layout.points_of("weight", view.weight)
         if not np.all(np.isfinite(weight) & (weight >= 0)):
             raise ValueError(f"{label}.weight: every weight must be finite and >= 0")
+    if view.noise is not None:
+        noise = np.asarray(view.noise, dtype=np.float64)
+        noise = np.full((layout.points, 1), noise) if noise.ndim == 0 else layout.points_of("noise", noise)
+        if not np.all(np.isfinite(noise) & (noise > 0)):
+            raise ValueError(f"{label}.noise: every standard deviation must be finite and > 0")
+        weight = weight / noise**2
     background = None
     if view.background is not None:
         background = np.asarray(view.background, dtype=np.float64)

@@ -1,0 +1,155 @@
+"""How well a fit knows what it found: standard errors, correlations, bounds, and what no picture tells.
+
+With the residuals' variance s^2 (stated, or estimated from what is left), the covariance of the free numbers is
+s^2 (J^T J)^-1, over the numbers that no bound holds and the directions that the pictures see.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from . import normal
+from .identify import Ambiguity, ambiguities, analyse
+from .problem import Description, Problem
+
+
+class Correlation(NamedTuple):
+    """Two numbers whose errors are nearly the same error."""
+
+    labels: tuple[str, str]
+    value: float
+    """In [-1, 1]."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """What a fit knows of each free number, in the order of its labels."""
+
+    labels: tuple[str, ...]
+    standard_error: np.ndarray
+    """Infinite where the pictures do not determine the number; 0 where a bound holds it."""
+    covariance: np.ndarray
+    """[numbers, numbers] over the directions that are seen; 0 for held and unseen numbers."""
+    noise: float
+    """Standard deviation of a residual of weight 1: stated, or estimated from what the fit left."""
+    rank: int
+    """Number of directions that the pictures determine."""
+    at_bound: tuple[tuple[str, str], ...]
+    """(label, "lower" or "upper") of the numbers that lie on a bound."""
+    unseen: tuple[str, ...]
+    """Numbers that no picture depends on."""
+    ambiguities: tuple[Ambiguity, ...]
+    hardly_seen: tuple[tuple[str, float], ...]
+    """(label, standard error) of the numbers whose error is half of their value or of their range, or more."""
+    correlations: tuple[Correlation, ...]
+    """Pairs above 0.99 in absolute value, the strongest first."""
+
+    @property
+    def well_posed(self) -> bool:
+        """True if the pictures determine every free number."""
+        return not self.unseen and not self.ambiguities
+
+    def messages(self) -> list[str]:
+        """What a person should know before believing the numbers, a sentence each; none if all is well."""
+        lines = [f"{label} is not seen: the pictures do not change with it" for label in self.unseen]
+        lines += [ambiguity.text for ambiguity in self.ambiguities]
+        lines += [f"{label} lies on its {side} bound" for label, side in self.at_bound]
+        lines += [f"{label} is hardly seen: its standard error is {error:.2g}" for label, error in self.hardly_seen]
+        lines += [
+            f"{a} and {b} are hard to tell apart: the correlation of their errors is {value:+.4f}"
+            for (a, b), value in self.correlations
+        ]
+        return lines
+
+    def __str__(self) -> str:
+        width = max(len(label) for label in self.labels)
+        rows = [
+            f"  {label:<{width}}  +- {error:.3g}" for label, error in zip(self.labels, self.standard_error, strict=True)
+        ]
+        return "\n".join([*rows, *self.messages()])
+
+
+def uncertainty(problem: Problem, description: Description, values: Any) -> Uncertainty:
+    """Standard errors and what cannot be known at the given values; computed in float64 whatever the fit's precision.
+
+    Args:
+        problem, description: the fit.
+        values: the fitted numbers.
+    """
+    with jax.enable_x64(True):
+        wide = _widen(problem)
+        at = jnp.asarray(np.asarray(values), jnp.float64)
+        loss, gradient, curvature = (np.asarray(a, np.float64) for a in _normal_equations(wide, at))
+    found = np.asarray(values, np.float64)
+    lower, upper = (np.asarray(a, np.float64) for a in (problem.parameters.lower, problem.parameters.upper))
+    labels = description.labels
+    on_lower, on_upper = found <= lower, found >= upper
+    size = np.sqrt(np.maximum(np.diagonal(curvature), 0))
+    # A bound holds a number back only if the slope presses against it by more than rounding.
+    pressing = np.abs(gradient) > 1e-6 * size * np.sqrt(2 * float(loss))
+    held = pressing & ((on_lower & (gradient > 0)) | (on_upper & (gradient < 0)))
+    seen = analyse(curvature, held)
+    rank = int(np.count_nonzero(~held & ~seen.unseen)) - len(seen.null)
+    freedom = max(description.residuals - rank, 1)
+    noise = 1.0 if description.noise_known else float(np.sqrt(2 * float(loss) / freedom))
+    covariance = noise**2 * _pseudo_inverse(curvature, seen.scale, ~held & ~seen.unseen, len(seen.null))
+    traded = np.max(np.abs(seen.null), axis=0, initial=0) > 1e-4
+    error = np.where(seen.unseen | traded, np.inf, np.sqrt(np.maximum(np.diagonal(covariance), 0)))
+    span = np.where(np.isfinite(upper - lower), upper - lower, np.abs(found))
+    hardly = np.isfinite(error) & (error >= span / 2)
+    return Uncertainty(
+        labels=tuple(labels),
+        standard_error=error,
+        covariance=covariance,
+        noise=noise,
+        rank=rank,
+        at_bound=tuple(
+            (labels[i], "lower" if on_lower[i] else "upper") for i in np.flatnonzero(on_lower | on_upper).tolist()
+        ),
+        unseen=tuple(labels[i] for i in np.flatnonzero(seen.unseen).tolist()),
+        ambiguities=tuple(ambiguities(seen, found, labels, description.fields)),
+        hardly_seen=tuple((labels[i], float(error[i])) for i in np.flatnonzero(hardly).tolist()),
+        correlations=tuple(_correlations(covariance, labels, traded)),
+    )
+
+
+@eqx.filter_jit
+def _normal_equations(problem: Problem, values: Any) -> normal.NormalEquations:
+    return normal.normal_equations(problem, values)
+
+
+def _widen(tree: Any) -> Any:
+    def widen(leaf: Any) -> Any:
+        return jnp.asarray(leaf, jnp.float64) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+
+    return jax.tree.map(widen, tree)
+
+
+def _pseudo_inverse(curvature: np.ndarray, scale: np.ndarray, use: np.ndarray, nulls: int) -> np.ndarray:
+    """Inverse over the numbers in `use`, without the `nulls` directions that are not seen."""
+    rows = np.flatnonzero(use)
+    inverse = np.zeros_like(curvature)
+    if len(rows) > nulls:
+        scaled = curvature[np.ix_(rows, rows)] / (scale[rows][:, None] * scale[rows][None, :])
+        eigenvalues, vectors = np.linalg.eigh(scaled)
+        vectors = vectors[:, nulls:] / scale[rows][:, None]
+        inverse[np.ix_(rows, rows)] = (vectors / eigenvalues[nulls:]) @ vectors.T
+    return inverse
+
+
+def _correlations(covariance: np.ndarray, labels: list[str], traded: np.ndarray) -> list[Correlation]:
+    deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0))
+    known = (deviation > 0) & ~traded
+    safe = np.where(known, deviation, 1)
+    correlation = np.where(known[:, None] & known[None, :], covariance / (safe[:, None] * safe[None, :]), 0)
+    pairs = [
+        Correlation((labels[i], labels[j]), float(correlation[i, j]))
+        for i, j in np.argwhere(np.triu(np.abs(correlation), 1) > 0.99).tolist()
+    ]
+    return sorted(pairs, key=lambda pair: -abs(pair.value))[:10]
