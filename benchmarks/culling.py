@@ -15,7 +15,7 @@ import tyro
 from .entrants import JAXLIGHT
 from .gate import Metric, run_gate
 from .harness import Case, Measurement, measure
-from .report import conditions, save, skipped_lines, table
+from .report import conditions, own_failures, save, skipped_lines, table
 from .settings import Settings, say
 from .workload import Arrays, Workload, make_arrays
 
@@ -55,7 +55,7 @@ def main() -> int:
     text = "\n".join([text, "", *skipped_lines(measurements)])
     print(text)
     save(options.output, "culling", text, [dataclasses.asdict(metric) for metric in metrics], measurements)
-    return run_gate(metrics, gate=options.gate, write=options.write_baseline) if metrics else 1
+    return run_gate(metrics, options) or own_failures(measurements)
 
 
 def _row(m: Measurement, ratio: float | None) -> list[Any]:

@@ -23,6 +23,8 @@ class Entrant:
     """Packages without which it is left out."""
     max_light_samples: int = 2**27
     """Samples times lights beyond which its memory or one's patience ends; it then gets fewer samples."""
+    checked: bool = True
+    """False: it does not shade, so there is nothing to compare with the reference."""
     color_limit: float = COLOR_LIMIT
     """Error at which its colours count as wrong; wider for stated approximations."""
     options: tuple[tuple[str, Any], ...] = ()

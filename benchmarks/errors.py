@@ -55,12 +55,18 @@ def color_errors(
 
 
 def gradient_errors(value: float, gradient: dict[str, np.ndarray], reference: Answer) -> ErrorStatistics:
-    """Errors of value and gradient; raises ValueError for a field that is missing, not finite, or beyond the limit."""
-    missing = sorted(set(reference.gradient) ^ set(gradient))
-    if missing:
-        raise ValueError(f"the gradient's fields differ: {', '.join(missing)}")
+    """Errors of value and gradient; raises ValueError for a field that is unknown, not finite, or beyond the limit.
+
+    Fields that the contender does not claim to have are not compared; the lights of a field may be the first few only.
+    """
+    unknown = sorted(set(gradient) - set(reference.gradient))
+    if unknown or not gradient:
+        raise ValueError(f"the gradient's fields are unknown: {', '.join(unknown) or 'there is none'}")
     relative = [np.array([value / reference.value - 1])]
-    for name, expected in reference.gradient.items():
+    for name, full in reference.gradient.items():
+        if name not in gradient:
+            continue
+        expected = full[: len(gradient[name])] if full.ndim and name.startswith("lights.") else full
         got = np.asarray(gradient[name], np.float64).reshape(expected.shape)
         relative.append(np.ravel(np.abs(got - expected) / max(np.max(np.abs(expected)), 1e-30)))
     every = np.abs(np.concatenate(relative))
@@ -70,3 +76,14 @@ def gradient_errors(value: float, gradient: dict[str, np.ndarray], reference: An
         raise ValueError(f"a derivative is wrong by {every.max():.1e} of its field's largest")
     mean = float(np.sqrt(np.mean(every**2)))
     return ErrorStatistics(float(every.max()), mean, 0.0, 0.0, 0.0, int(reference.at_jump.sum()))
+
+
+def parameter_errors(values: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> ErrorStatistics:
+    """Errors of fitted numbers, relative to their field's largest; a bad fit is a result, not a failure."""
+    relative = [
+        np.ravel(np.abs(np.asarray(value, np.float64).reshape(truth[name].shape) - truth[name]))
+        / np.max(np.abs(truth[name]))
+        for name, value in values.items()
+    ]
+    every = np.concatenate(relative)
+    return ErrorStatistics(float(every.max()), float(np.sqrt(np.mean(every**2))), 0.0, 0.0, 0.0, 0)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import json
+import sys
 from pathlib import Path
 from typing import Literal
 
 from .report import table
+from .settings import Settings
 
 BASELINE = Path(__file__).parent / "data" / "baseline.json"
 Better = Literal["lower", "higher"]
@@ -90,16 +92,20 @@ def verdict_table(verdicts: list[Verdict]) -> str:
     return table(["metric", "baseline", "measured", "direction", "limit", "verdict"], rows)
 
 
-def run_gate(metrics: list[Metric], *, gate: bool, write: bool) -> int:
-    """What `--gate` and `--write-baseline` do; the process's exit status: 1 on a regression."""
+def run_gate(metrics: list[Metric], settings: Settings) -> int:
+    """What `--gate` and `--write-baseline` do; the exit status: 1 on a regression, 2 without a baseline to hold to."""
     status = 0
-    if gate:
-        verdicts = compare(metrics)
+    if settings.gate:
+        try:
+            verdicts = compare(metrics)
+        except ValueError as error:
+            print(error, file=sys.stderr)
+            return 2
         print("\n" + verdict_table(verdicts))
         failed = [verdict.name for verdict in verdicts if not verdict.passed]
         print(f"gate: {len(failed)} of {len(verdicts)} metrics worse than allowed: {', '.join(failed) or 'none'}")
         status = 1 if failed else 0
-    if write:
+    if settings.write_baseline:
         write_baseline(metrics)
         print(f"wrote {BASELINE}")
     return status

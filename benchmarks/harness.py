@@ -60,6 +60,8 @@ class Measurement:
     busy: float = 1.0
     """Wall time over processor time: well above 1 on one core means that others disturbed the run."""
     calls: int = 0
+    steps: int = 0
+    """Of a fit."""
     extra_bytes: int = 0
     """Peak resident memory beyond the inputs."""
     input_bytes: int = 0
@@ -85,6 +87,7 @@ class Plan:
     """For how long a contender runs when it is its turn; one call at least."""
     most_calls: int = 50
     cores: tuple[int, ...] = (0,)
+    """Where to pin to; empty: nowhere, and threads are the libraries' own affair."""
     timeout: float = 240.0
     """Seconds after which a contender that does not answer is given up."""
     deadline: float = math.inf
@@ -100,7 +103,8 @@ class Worker:
         self._plan = plan
         self._log = tempfile.TemporaryFile("w+")  # noqa: SIM115  # closed with the process
         settings = {"entrant": dataclasses.asdict(entrant), "cores": list(plan.cores)}
-        environment = {**os.environ, **{name: str(len(plan.cores)) for name in _THREADS}, **dict(entrant.environment)}
+        threads = {name: str(len(plan.cores)) for name in _THREADS} if plan.cores else {}
+        environment = {**os.environ, **threads, **dict(entrant.environment)}
         self._process = subprocess.Popen(
             [sys.executable, "-m", "benchmarks.worker", json.dumps(settings)],
             cwd=_ROOT,
@@ -164,7 +168,7 @@ def measure(
                 measurement.skipped = "the time was up"
                 continue
             say(f"{case.entrant.label}: {case.operation}, {case.work.lights} lights, {case.work.samples} samples")
-            reference = references.path(case) if plan.check else None
+            reference = references.path(case) if plan.check and case.entrant.checked else None
             reply = workers[case.entrant].ask(
                 "load", case=case.key, work=dataclasses.asdict(case.work), operation=case.operation, reference=reference
             )

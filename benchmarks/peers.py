@@ -13,7 +13,7 @@ from . import plots
 from .entrants import JAXLIGHT, PEERS, Entrant
 from .gate import Metric, run_gate
 from .harness import Case, Measurement, measure
-from .report import conditions, save, skipped_lines, table
+from .report import conditions, own_failures, save, skipped_lines, table
 from .settings import Settings, say
 from .workload import Workload
 from .yardstick import FORWARD, FORWARD_UNIFORM, Yardstick
@@ -70,7 +70,7 @@ def main() -> int:
         print(text)
         save(options.output, "peers", text, [dataclasses.asdict(metric) for metric in metrics], measurements)
         plots.peers(options.output / "peers.png", measurements)
-        return run_gate(metrics, gate=options.gate, write=options.write_baseline)
+        return run_gate(metrics, options) or own_failures(measurements)
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2

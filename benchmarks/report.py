@@ -8,6 +8,7 @@ import importlib.metadata
 import json
 import os
 import platform
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -46,7 +47,7 @@ def conditions(plan: Plan, measurements: Sequence[Measurement] = ()) -> str:
     busy = max((m.busy for m in measurements if m.skipped is None), default=1.0)
     clock = "processor time" if len(plan.cores) == 1 else "wall time"
     lines = [
-        f"{datetime.date.today().isoformat()}, {_processor()}, cores {list(plan.cores)}, medians of {clock} over "
+        f"{datetime.date.today().isoformat()}, {_processor()}, {_cores(plan)}, medians of {clock} over "
         f"{plan.rounds} rounds in turn. {', '.join(f'{k} {v}' for k, v in versions().items())}.",
     ]
     if len(plan.cores) == 1 and busy > _LOADED:
@@ -54,10 +55,24 @@ def conditions(plan: Plan, measurements: Sequence[Measurement] = ()) -> str:
     return "\n".join(lines)
 
 
+def _cores(plan: Plan) -> str:
+    if not plan.cores:
+        return "not pinned"
+    return f"pinned to core {', '.join(map(str, plan.cores))}"
+
+
 def skipped_lines(measurements: Sequence[Measurement]) -> list[str]:
     """One line for each contender that was left out, with the reason."""
     lines = [f"skipped: {m.case.entrant.label} ({m.skipped})" for m in measurements if m.skipped]
     return list(dict.fromkeys(lines))
+
+
+def own_failures(measurements: Sequence[Measurement]) -> int:
+    """Exit status: 1 if jaxlight itself could not be measured somewhere, which is said on standard error."""
+    failed = [m for m in measurements if m.skipped and m.case.entrant.path.startswith("jaxlight")]
+    for m in failed:
+        print(f"NOT MEASURED: {m.case.entrant.label}, {m.case.operation}, {m.case.work}: {m.skipped}", file=sys.stderr)
+    return 1 if failed else 0
 
 
 def versions() -> dict[str, str]:

@@ -24,6 +24,7 @@ class Cases:
         """Compiles, runs once, compares with the reference; answers what that took and how far off it is."""
         import dataclasses
 
+        from .errors import color_errors, gradient_errors, parameter_errors
         from .reference import Answer
         from .workload import Workload, make_arrays
 
@@ -44,10 +45,19 @@ class Cases:
             "first_seconds": finished - compiled,
             "input_bytes": input_bytes,
             "error": None,
+            "steps": 0,
         }
         if reference is not None:
-            limit = self.entrant.color_limit
-            errors = _compare(contender, operation, result, Answer.load(reference), limit)
+            expected = Answer.load(reference)
+            if operation == "fit":
+                fit = contender.fitted(result)
+                answer["steps"] = fit.steps
+                errors = parameter_errors(fit.values, make_arrays(workload).parameters)
+            elif operation == "forward":
+                colors = contender.colors(result)[:, :: expected.stride]
+                errors = color_errors(colors, expected, colors.dtype.type, self.entrant.color_limit)
+            else:
+                errors = gradient_errors(*contender.value_and_gradient(result), expected)
             answer["error"] = dataclasses.asdict(errors)
         return answer
 
@@ -77,15 +87,6 @@ class Cases:
         used = {id(contender) for _, contender in self.runs.values()}
         self.contenders = {work: pair for work, pair in self.contenders.items() if id(pair[0]) in used}
         return {}
-
-
-def _compare(contender: Any, operation: str, result: Any, reference: Any, limit: float) -> Any:
-    from .errors import color_errors, gradient_errors
-
-    if operation == "forward":
-        colors = contender.colors(result)
-        return color_errors(colors[:, :: reference.stride], reference, colors.dtype.type, limit)
-    return gradient_errors(*contender.value_and_gradient(result), reference)
 
 
 def main() -> None:

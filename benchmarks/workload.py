@@ -38,6 +38,8 @@ class Workload:
     cover: float = 0.0
     dark: Literal["none", "off", "black", "far"] = "none"
     """Half of the lights: switched off, without colour, or out of reach."""
+    shape: Literal["sheet", "sphere"] = "sheet"
+    """The sheet, or the half of a unit sphere that faces the viewer."""
     blocks: bool = False
     """Samples in the order of blocks of 32 x 32, as a rasteriser stores neighbours together; False: row by row."""
 
@@ -60,6 +62,7 @@ class Arrays(NamedTuple):
     eye: np.ndarray
     fog_color: np.ndarray
     fog_visibility: float
+    """Infinite without fog."""
     material: Fields
     """X3D Material fields: scalars [] and colours [3]."""
     lights: Fields
@@ -86,7 +89,7 @@ class Arrays(NamedTuple):
 
 def make_arrays(work: Workload) -> Arrays:
     """The arrays of a workload; the same numbers every time."""
-    position, normal = _sheet(work.samples, work.blocks)
+    position, normal = _sheet(work.samples, work.blocks) if work.shape == "sheet" else _sphere(work.samples)
     material = _material(work)
     sample_color = None
     if work.sample_color:
@@ -100,7 +103,7 @@ def make_arrays(work: Workload) -> Arrays:
         target=(0.5 + 0.25 * wave).astype(np.float32),
         eye=np.array([0.3, 0.2, 6.0], np.float32),
         fog_color=np.array([0.5, 0.6, 0.7], np.float32),
-        fog_visibility=30.0,
+        fog_visibility=math.inf if work.fog == "NONE" else 30.0,
         material=material,
         lights=_lights(work),
         on=np.arange(work.lights) % 2 == 0 if work.dark == "off" else np.ones(work.lights, bool),
@@ -120,6 +123,15 @@ def _sheet(samples: int, blocks: bool) -> tuple[np.ndarray, np.ndarray]:
     slope_x, slope_y = 0.9 * np.cos(3 * x) * np.cos(2 * y), -0.6 * np.sin(3 * x) * np.sin(2 * y)
     normal = np.stack([-slope_x, -slope_y, np.ones_like(x)]) / np.sqrt(1 + slope_x**2 + slope_y**2)
     return np.stack([x, y, z]).astype(np.float32), normal.astype(np.float32)
+
+
+def _sphere(samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and normals of a unit sphere, evenly over the disc that one sees (a Fibonacci spiral)."""
+    index = np.arange(samples) + 0.5
+    radius, angle = np.sqrt(index / samples), index * math.pi * (3 - math.sqrt(5))
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    normal = np.stack([x, y, np.sqrt(1 - radius**2)]).astype(np.float32)
+    return normal.copy(), normal
 
 
 def _material(work: Workload) -> Fields:

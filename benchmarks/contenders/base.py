@@ -10,7 +10,7 @@ import numpy as np
 
 from ..workload import Arrays, Workload
 
-Operation = Literal["forward", "value_and_gradient"]
+Operation = Literal["forward", "value_and_gradient", "normal_equations", "fit"]
 Run = Callable[[], Any]
 """Runs once and returns when the result is there."""
 
@@ -22,8 +22,15 @@ class ValueAndGradient(NamedTuple):
     gradient: dict[str, np.ndarray]
 
 
+class FitResult(NamedTuple):
+    """Fitted fields by the names of `Arrays.parameters`, and how many steps (evaluations) it took."""
+
+    values: dict[str, np.ndarray]
+    steps: int
+
+
 class Contender(abc.ABC):
-    """A program that shades a workload's samples, and takes value and gradient of the sum of squared residuals."""
+    """A program that does one or more of the operations on a workload; it decodes the results of those it does."""
 
     @abc.abstractmethod
     def __init__(self, work: Workload, arrays: Arrays) -> None:
@@ -33,13 +40,17 @@ class Contender(abc.ABC):
     def prepare(self, operation: Operation) -> Run:
         """The operation, compiled as far as the library can compile ahead of the first call."""
 
-    @abc.abstractmethod
     def colors(self, result: Any) -> np.ndarray:
         """[3, N] of a forward result."""
+        raise NotImplementedError
 
-    @abc.abstractmethod
     def value_and_gradient(self, result: Any) -> ValueAndGradient:
-        """A value-and-gradient result, in NumPy."""
+        """Value and gradient in NumPy, of a result of that operation or of the normal equations."""
+        raise NotImplementedError
+
+    def fitted(self, result: Any) -> FitResult:
+        """What a fit found."""
+        raise NotImplementedError
 
     def release(self) -> None:  # noqa: B027
         """Gives cached memory back, so that a peak can be measured. Most have none."""

@@ -23,7 +23,8 @@ def light_contribution(light: Any, material: Any, diffuse: Any, position: Any, n
     reach = jnp.where(distance <= light["radius"], attenuation, 0)
     ambient = light["ambient_intensity"] * material["ambient_intensity"]
     lit = light["intensity"] * jnp.maximum(normal @ l, 0)
-    peak = light["intensity"] * jnp.maximum(normal @ half, 0) ** (128 * material["shininess"])
+    # The floor keeps the power's derivative from being NaN at 0.
+    peak = light["intensity"] * jnp.maximum(normal @ half, 1e-20) ** (128 * material["shininess"])
     return light["color"] * reach * ((ambient + lit) * diffuse + peak * material["specular_color"])
 
 
@@ -53,22 +54,27 @@ def loss(parameters: Any, scene: Any) -> Any:
     return jnp.sum((shade(parameters, scene) - scene["target"]) ** 2)
 
 
+def scene_arrays(arrays: Arrays) -> dict[str, np.ndarray]:
+    """What is not differentiated, with samples as rows."""
+    scene = {
+        "position": arrays.position.T,
+        "normal": arrays.normal.T,
+        "target": arrays.target.T,
+        "eye": arrays.eye,
+        "fog_color": arrays.fog_color,
+        "fog_visibility": np.float32(arrays.fog_visibility),
+        "radius": arrays.lights["radius"],
+    }
+    if arrays.sample_color is not None:
+        scene["sample_color"] = arrays.sample_color.T
+    return {name: np.ascontiguousarray(value) for name, value in scene.items()}
+
+
 class NaiveJax(Contender):
     """`jax.jit` and `jax.value_and_grad` of the functions above; arrays are [N, 3], intermediates [N, L, 3]."""
 
     def __init__(self, work: Workload, arrays: Arrays) -> None:
-        scene = {
-            "position": arrays.position.T,
-            "normal": arrays.normal.T,
-            "target": arrays.target.T,
-            "eye": arrays.eye,
-            "fog_color": arrays.fog_color,
-            "fog_visibility": np.float32(arrays.fog_visibility),
-            "radius": arrays.lights["radius"],
-        }
-        if arrays.sample_color is not None:
-            scene["sample_color"] = arrays.sample_color.T
-        self._arguments = jax.device_put((arrays.parameters, jax.tree.map(np.ascontiguousarray, scene)))
+        self._arguments = jax.device_put((arrays.parameters, scene_arrays(arrays)))
 
     def prepare(self, operation: Operation) -> Run:
         function = shade if operation == "forward" else jax.value_and_grad(loss)

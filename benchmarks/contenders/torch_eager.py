@@ -29,7 +29,7 @@ def shade(parameters: Any, scene: Any) -> torch.Tensor:
     n_l = normal[0] * l[0] + normal[1] * l[1] + normal[2] * l[2]
     n_half = normal[0] * half[0] + normal[1] * half[1] + normal[2] * half[2]
     n_h = n_half / torch.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
-    peak = torch.clamp(n_h, min=0) ** (128 * material["shininess"])
+    peak = torch.clamp(n_h, min=1e-20) ** (128 * material["shininess"])
 
     c1, c2, c3 = (lights["attenuation"][:, i, None] for i in range(3))
     attenuation = 1 / torch.clamp(c1 + c2 * distance + c3 * squared, min=1)

@@ -1,0 +1,94 @@
+"""jaxlight's fit by its public functions: the whole fit, and one evaluation of the normal equations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlight.fit import View, fit
+from jaxlight.fit.normal import normal_equations
+from jaxlight.fit.problem import make_problem
+
+from ..fit_problem import FREE, fit_arrays, fit_start, with_values
+from ..workload import Arrays, Workload
+from .base import Contender, FitResult, Operation, Run, ValueAndGradient
+from .jaxlight_shade import samples_of, scene_of
+
+_NODES = {"material": "Material", "lights": "PointLight"}
+
+
+def path_of(name: str, row: int) -> str:
+    """`lights.location` -> `PointLight[row].location`."""
+    group, field = name.split(".")
+    return f"{_NODES[group]}[{row}].{field}"
+
+
+class JaxlightFit(Contender):
+    """`fit` of the common fields, or J^T J and J^T r.
+
+    Args:
+        work, arrays: the workload.
+        precision: float type of scene and samples.
+        free_lights: for the normal equations: all fields of the material and of so many lights are free; -1: only
+            the material's shininess.
+        views: for the normal equations: so many views of these samples.
+    """
+
+    def __init__(
+        self, work: Workload, arrays: Arrays, precision: str = "float32", free_lights: int = 1, views: int = 1
+    ) -> None:
+        self._work, self._arrays, self._dtype = work, arrays, jnp.dtype(precision)
+        self._free_lights, self._views = free_lights, views
+
+    def prepare(self, operation: Operation) -> Run:
+        return self._prepare_fit() if operation == "fit" else self._prepare_normal_equations()
+
+    def _prepare_fit(self) -> Run:
+        arrays = fit_arrays(self._work)
+        scene = scene_of(self._work, with_values(arrays, fit_start(arrays)), self._dtype)
+        view = View(samples_of(arrays, self._dtype), arrays.target.T)
+        free = [path_of(name, 0) for name in FREE]
+        return lambda: fit(scene, view, free=free)
+
+    def fitted(self, result: Any) -> FitResult:
+        values = {name: np.asarray(result.value(path_of(name, 0))) for name in FREE}
+        return FitResult(values, len(result.history))
+
+    def _names(self) -> list[tuple[str, int]]:
+        """Free fields and rows."""
+        if self._free_lights < 0:
+            return [("material.shininess", 0)]
+        names = list(self._arrays.parameters)
+        material = [(name, 0) for name in names if name.startswith("material.")]
+        lights = [name for name in names if name.startswith("lights.")]
+        return material + [(name, row) for row in range(self._free_lights) for name in lights]
+
+    def _prepare_normal_equations(self) -> Run:
+        scene = scene_of(self._work, self._arrays, self._dtype)
+        samples = samples_of(self._arrays, self._dtype)
+        views = [View(samples, self._arrays.target.T) for _ in range(self._views)]
+        free = [path_of(name, row) for name, row in self._names()]
+        problem, self._description = make_problem(scene, views, free)
+        values = problem.parameters.start
+        compiled = jax.jit(normal_equations).lower(problem, values).compile()
+        return lambda: jax.block_until_ready(compiled(problem, values))
+
+    def value_and_gradient(self, result: Any) -> ValueAndGradient:
+        """The normal equations' loss is half the sum of squares, over all views."""
+        factor = 2 / self._views
+        flat = np.asarray(result.gradient) * factor
+        by_path = {field.path: flat[field.numbers] for field in self._description.fields}
+        gradient: dict[str, list[np.ndarray]] = {}
+        for name, row in self._names():
+            gradient.setdefault(name, []).append(by_path[path_of(name, row)])
+        shapes = self._arrays.parameters
+        fields = {
+            name: np.stack(rows).reshape(len(rows), *shapes[name].shape[1:])
+            if name.startswith("lights.")
+            else rows[0].reshape(shapes[name].shape)
+            for name, rows in gradient.items()
+        }
+        return ValueAndGradient(float(result.loss) * factor, fields)
