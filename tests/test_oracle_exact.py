@@ -14,7 +14,7 @@ import oracle
 from oracle import Case, Fog, Light, Material, Sample
 from oracle.adversarial import FAMILIES, adversarial_cases, step
 from oracle.cases import random_cases, well_conditioned_cases
-from oracle.condition import condition, distance, gradient_condition
+from oracle.condition import condition, gradient_condition, near_ties
 from oracle.equation import brightest, shade
 from oracle.exact import evaluate, gradient_bounds
 from oracle.fast_exact import gradients, values
@@ -140,6 +140,17 @@ def test_opposite_directions_are_told_from_almost_opposite_ones() -> None:
     assert evaluate(case).rgba[0] == 0
 
 
+def test_a_power_may_underflow() -> None:
+    # N.H = 0.5 to the 128th is 2^-128, below float32's smallest normal number; its slope, 128 times that, is above it.
+    shiny = Material(diffuse_color=(0.0,) * 3, specular_color=(1.0,) * 3, shininess=1.0)
+    sideways = Light(location=(math.sqrt(0.75) * 4, 0.0, 2.0), attenuation=(0.0, 0.0, 0.0))
+    case = Case(replace(UP, eye=sideways.location), shiny, (sideways,))
+    for precision, lowest in ((32, 0.0), (64, 128 * 2.0**-128 * math.log(0.5))):
+        low, high = gradient_bounds(case, near_ties(case, precision))["material", "shininess"][0]
+        assert float(low) == pytest.approx(128 * 2.0**-128 * math.log(0.5), rel=1e-10)
+        assert float(high) == pytest.approx(lowest, rel=1e-10)
+
+
 # --- condition --------------------------------------------------------------------------------------------------------
 
 
@@ -230,8 +241,7 @@ def test_fast_bounds_at_kinks_agree_with_exact() -> None:
         assert group.condition is not None
         for row in np.flatnonzero(group.differentiable):
             case = cases[group.index[row]]
-            first = evaluate(case, 1)
-            exact = gradient_bounds(case, lambda d, case=case, first=first: distance(d, case, first) < 16)
+            exact = gradient_bounds(case, near_ties(case))
             for i, path in enumerate(group.paths):
                 for c, (low, high) in enumerate(exact.get(path, ((mpf(0), mpf(0)),) * 4)):
                     ends = np.array([group.low[row, i, c], group.high[row, i, c]])

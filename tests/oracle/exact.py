@@ -74,10 +74,11 @@ def gradient_bounds(
     """By path, the lowest and highest right derivative of each of the four channels.
 
     They differ only at a kink: there every value between 0 and the one-sided derivative of the kinked term is right,
-    so both sides of every tie are evaluated. Singular inputs get (-inf, inf). `is_tie` may widen what counts as a tie.
+    so both sides of every tie are evaluated. Singular inputs get (-inf, inf). `is_tie` may widen what counts as a tie
+    (`condition.near_ties`: what counts in a floating-point format).
     """
     first = evaluate(case, 1)
-    names = [d.name for d in first.decisions if d.kind == "kink" and is_tie(d)]
+    names = [d.name for d in first.decisions if d.kind in ("kink", "underflow") and is_tie(d)]
     if len(names) > MAX_TIES:
         raise ValueError(f"{case.label or 'case'}: {len(names)} ties; at most {MAX_TIES} can be tried")
     choices = itertools.product((False, True), repeat=len(names))

@@ -177,7 +177,9 @@ def modified_power(tape: Tape, i: int, base: Dual) -> Dual:
     # Above exponent 1 the power meets zero without a kink, below it with an infinite slope.
     positive = x > 0 if n > 1 else tape.compare(f"lights[{i}].n_h", "kink" if n == 1 else "cone", base)
     if positive and x > 0:
-        return exp(exponent * log(base))
+        power = exp(exponent * log(base))
+        kept = tape.decide(f"lights[{i}].power", "underflow", power.value, {})
+        return power if kept else tape.constant(0)
     if positive and n == 1:
         return base
     if n < 1 and (positive or x == 0):

@@ -45,8 +45,8 @@ class Gradients:
     """Of n cases of one shape: derivatives by P inputs of 4 channels.
 
     `index` [n]: their places in the list that was given; `paths` (P); `low` and `high` [n, P, 4] (longdouble): the
-    lowest and highest right derivative, equal but for kinks within 16 ulp; `condition` [n, P, 4], the worst of both
-    sides of a kink, or None.
+    lowest and highest right derivative, equal but for kinks within 16 ulp and underflow; `condition` [n, P, 4], the
+    worst of both sides, or None.
     """
 
     index: np.ndarray

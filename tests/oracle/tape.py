@@ -12,7 +12,7 @@ from .case import Case, Fog, Light
 from .dual import Dual, Vector, cross, dot, minus, times
 from .paths import Path, get
 
-Kind = Literal["kink", "jump", "cone"]
+Kind = Literal["kink", "jump", "cone", "underflow"]
 
 
 @dataclass(frozen=True)
@@ -20,8 +20,10 @@ class Decision:
     """A comparison that the equation makes: it went one way because `margin` > 0, or the other.
 
     `kind`: across it the value jumps ("jump"), or is continuous with a jump of the derivative ("kink"); at a "cone"
-    there is no derivative at all (the tip of |x|, an infinite slope). `slopes[i]` bounds how fast the margin moves
-    with input i; `rounding`: the margin is a sum of numbers near 1 and so moves by an ulp of 1 even if no input does.
+    there is no derivative at all (the tip of |x|, an infinite slope). "underflow" is no comparison of the equation: a
+    margin below the smallest normal number of a format may as well be taken for 0. `slopes[i]` bounds how fast the
+    margin moves with input i; `rounding`: it is a sum of numbers near 1 and so moves by an ulp of 1 even if no input
+    does.
     """
 
     name: str
