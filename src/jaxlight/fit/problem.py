@@ -122,11 +122,17 @@ def _strides(scene: Scene, parameters: Parameters, fields: list[FreeField], view
         stride = UNLIMITED if field.leaf is None else stride_of(field.leaf.field)
         down[field.numbers], up[field.numbers], floor[field.numbers] = stride
         group[field.numbers] = field.numbers[0]
-        if field.leaf is not None and field.leaf.field == "location":
+        if field.leaf is not None and field.leaf.field in ("location", "direction"):
             lights = getattr(scene, field.leaf.attribute)
-            to_world = np.asarray(lights.to_world[field.row], np.float64)
-            local = np.linalg.solve(to_world[:, :3], middle - to_world[:, 3])
-            origin[field.numbers] = local[field.components]
+            center = np.zeros(3)
+            if field.leaf.field == "location":
+                to_world = np.asarray(lights.to_world[field.row], np.float64)
+                center = np.linalg.solve(to_world[:, :3], middle - to_world[:, 3])
+                origin[field.numbers] = center[field.components]
+            # Components that are not free are part of the vector's length.
+            vector = np.asarray(field.leaf.get(scene)[field.row], np.float64) - center
+            held = np.linalg.norm(np.delete(vector, field.components))
+            floor[field.numbers] = np.maximum(floor[field.numbers], held)
     return Strides(*(jnp.asarray(a, dtype) for a in (down, up, floor, origin)), group=jnp.asarray(group))
 
 
