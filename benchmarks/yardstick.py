@@ -6,10 +6,12 @@ and 64 lights. It is run by path between the rounds, pinned to the same core, an
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import statistics
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 LIGHTS = (1, 8, 64)
@@ -30,6 +32,20 @@ def parse(table: str) -> dict[str, dict[int, float]]:
     return rows
 
 
+@contextlib.contextmanager
+def _pinned(cores: tuple[int, ...]) -> Iterator[None]:
+    """This thread, and the programs it starts meanwhile, on these cores."""
+    if not cores or not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, cores)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
 class Yardstick:
     """Collects the tables of several runs of the program, and gives the median of each figure.
 
@@ -46,10 +62,10 @@ class Yardstick:
         """Lets the program take its turn; nothing happens without one."""
         if self._program is None:
             return
-        pin = (lambda: os.sched_setaffinity(0, self._cores)) if hasattr(os, "sched_setaffinity") else None
         command = [str(self._program.resolve()), str(len(self._cores))]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300, preexec_fn=pin)
+            with _pinned(self._cores):
+                done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
         except (OSError, subprocess.SubprocessError) as error:
             raise ValueError(f"yardstick {self._program}: {error}") from None
         self._tables.append(parse(done.stdout))
