@@ -1,0 +1,147 @@
+"""The streamed sums are what the whole Jacobian gives, for every kind of view, loss and prior."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fit_scenes import PRECISIONS, key_light, material, precision, sphere_picture, sphere_points, sphere_samples
+from jaxlight import Free, SampleBuffer, Scene, View, nodes
+from jaxlight.fit import normal
+from jaxlight.fit.problem import Problem, make_problem
+
+SIZE = 24
+FREE = ["Material[body].*", "PointLight[key].location", "PointLight[key].attenuation"]
+
+
+def scene(dtype: Any) -> Scene:
+    lamps = [key_light(attenuation=(0.9, 0.1, 0.05), ambient_intensity=0.3)]
+    lamps += [nodes.PointLight(name="fill", location=(-3.0, 1.0, 2.0), intensity=0.4, color=(0.4, 0.6, 1.0))]
+    shapes = [
+        nodes.Shape(appearance=nodes.Appearance(material=one), geometry=nodes.Sphere())
+        for one in (material(transparency=0.2), nodes.Material(name="other", diffuse_color=(0.2, 0.5, 0.4)))
+    ]
+    return Scene.from_nodes([*shapes, *lamps], dtype=dtype)
+
+
+def two_surfaces(dtype: Any) -> SampleBuffer:
+    points, _ = sphere_points(SIZE)
+    return sphere_samples(SIZE, dtype=dtype, surface=(points[:, 0] > 0.1).astype(int), tile=64)
+
+
+def four_samples_a_pixel(dtype: Any) -> SampleBuffer:
+    """Samples of a picture of twice the size, gathered into pixels; some pixels at the edge are partly covered."""
+    points, pixel = sphere_points(2 * SIZE)
+    row, column = np.divmod(pixel, 2 * SIZE)
+    gathered = (row // 2) * SIZE + column // 2
+    return SampleBuffer.create(
+        position=points, normal=points, eye=(0, 0, 4), pixel=gathered, coverage=np.full(len(points), 0.25),
+        width=SIZE, height=SIZE, surface=(points[:, 0] > 0.1).astype(int), tile=64, dtype=dtype,
+    )  # fmt: skip
+
+
+def problem(kind: str, dtype: Any) -> Problem:
+    picture = sphere_picture(SIZE, noise=0.05)
+    weight = np.linspace(0.5, 2.0, SIZE**2 * 3).reshape(SIZE, SIZE, 3)
+    samples = two_surfaces(dtype)
+    plain = View(samples, picture)
+    free: list[Any] = list(FREE)
+    more: dict[str, Any] = {}
+    views = {
+        "plain": [plain],
+        "weights and mask": [View(samples, picture, weight=weight, mask=weight[..., 0] > 0.7)],
+        "grey target": [View(samples, picture.mean(axis=2))],
+        "background": [View(samples, picture, background=(0.3, 0.1, 0.6))],
+        "several samples a pixel": [View(four_samples_a_pixel(dtype), picture)],
+        "several samples a pixel over a background": [
+            View(four_samples_a_pixel(dtype), picture, background=picture[::-1])
+        ],
+        "sensor limits": [View(samples, picture, saturated=0.7, dark=0.1)],
+        "two views, one light each": [
+            View(samples, picture, lights=["PointLight[key]"]),
+            View(samples, picture / 2, lights=["PointLight[fill]"], exposure=0.5),
+        ],
+        "two views of different size": [plain, View(sphere_samples(SIZE // 2, dtype=dtype), sphere_picture(SIZE // 2))],
+    }.get(kind, [plain])
+    if kind.startswith("two views"):
+        free += ["View[*].exposure"]
+    if kind in ("huber", "cauchy"):
+        more = {"loss": kind, "loss_scale": 0.05}
+    if kind == "prior":
+        free += [Free("PointLight[fill].intensity", mean=0.5, deviation=0.01)]
+    if kind == "ties":
+        free = [Free("Material[*].diffuse_color", tied=True), Free("PointLight[*].color", tied="all")]
+    return make_problem(scene(dtype), views, free, **more)[0]
+
+
+KINDS = [
+    "plain", "weights and mask", "grey target", "background", "several samples a pixel",
+    "several samples a pixel over a background", "sensor limits", "two views, one light each",
+    "two views of different size", "huber", "cauchy", "prior", "ties",
+]  # fmt: skip
+
+
+def dense(problem: Problem, values: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Loss, gradient and Gauss-Newton matrix from the whole Jacobian, in NumPy float64."""
+
+    def flat(v: Any) -> Any:
+        return jnp.concatenate([part.reshape(-1) for part in normal.residuals(problem, v)])
+
+    residual = np.asarray(jax.jit(flat)(values), np.float64)
+    jacobian = np.asarray(jax.jit(jax.jacfwd(flat))(values), np.float64)
+    scale = float(problem.loss_scale)
+    size = np.abs(residual) / scale
+    prior = np.arange(len(residual)) >= len(residual) - len(values)
+    each, weight = residual**2 / 2, np.ones_like(residual)
+    if problem.loss_kind == "huber":
+        each = np.where(prior | (size <= 1), each, scale**2 * (size - 0.5))
+        weight = np.where(prior | (size <= 1), 1, 1 / np.maximum(size, 1))
+    if problem.loss_kind == "cauchy":
+        each = np.where(prior, each, scale**2 * np.log1p(size**2) / 2)
+        weight = np.where(prior, 1, 1 / (1 + size**2))
+    return each.sum(), jacobian.T @ (weight * residual), jacobian.T @ (weight[:, None] * jacobian)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_streamed_sums_are_the_dense_ones(kind: str) -> None:
+    with precision("float64") as dtype:
+        made = problem(kind, dtype)
+        values = made.parameters.start
+        loss, gradient, curvature = dense(made, values)
+        found = jax.jit(normal.normal_equations)(made, values)
+        assert float(jax.jit(normal.loss)(made, values)) == pytest.approx(loss, rel=1e-12)
+        assert float(found.loss) == pytest.approx(loss, rel=1e-12)
+        scale = np.sqrt(np.diagonal(curvature))
+        np.testing.assert_allclose(found.curvature, curvature, rtol=0, atol=1e-11 * np.outer(scale, scale).max())
+        np.testing.assert_allclose(found.gradient, gradient, rtol=0, atol=1e-11 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("kind", ["plain", "several samples a pixel"])
+@pytest.mark.parametrize("bits", PRECISIONS[:2])
+def test_single_precision_keeps_its_type_and_its_digits(kind: str, bits: str) -> None:
+    with precision("float64") as dtype:
+        made = problem(kind, dtype)
+        exact = jax.jit(normal.normal_equations)(made, made.parameters.start)
+    with precision(bits) as dtype:
+        made = problem(kind, dtype)
+        found = jax.jit(normal.normal_equations)(made, made.parameters.start)
+        assert {leaf.dtype for leaf in found} == {jnp.dtype(jnp.float32)}
+        scale = np.sqrt(np.maximum(np.diagonal(exact.curvature), 1e-30))
+        np.testing.assert_allclose(
+            found.curvature / np.outer(scale, scale), exact.curvature / np.outer(scale, scale), rtol=0, atol=2e-5
+        )
+        assert float(found.loss) == pytest.approx(float(exact.loss), rel=1e-5)
+
+
+def test_the_gradient_is_the_derivative_of_the_loss() -> None:
+    with precision("float64") as dtype:
+        for kind in ("plain", "cauchy", "sensor limits"):
+            made = problem(kind, dtype)
+            values = made.parameters.start
+            by_reverse = jax.jit(jax.grad(lambda v, p: normal.loss(p, v)))(values, made)
+            found = jax.jit(normal.normal_equations)(made, values).gradient
+            np.testing.assert_allclose(found, by_reverse, rtol=0, atol=1e-10 * np.abs(by_reverse).max())
