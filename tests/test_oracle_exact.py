@@ -141,7 +141,7 @@ def test_opposite_directions_are_told_from_almost_opposite_ones() -> None:
 
 
 def test_a_power_may_underflow() -> None:
-    # N.H = 0.5 to the 128th is 2^-128, below float32's smallest normal number; its slope, 128 times that, is above it.
+    # N.H = 0.5 to the 128th is 2^-128, below float32's smallest normal number; its slope is above it.
     shiny = Material(diffuse_color=(0.0,) * 3, specular_color=(1.0,) * 3, shininess=1.0)
     sideways = Light(location=(math.sqrt(0.75) * 4, 0.0, 2.0), attenuation=(0.0, 0.0, 0.0))
     case = Case(replace(UP, eye=sideways.location), shiny, (sideways,))

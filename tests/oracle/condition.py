@@ -17,8 +17,8 @@ full precision. An algorithm that is right for slightly wrong inputs has an erro
 move: its zero is no accident, and what follows from it is well-conditioned.)
 
 **Differentiable**: well-conditioned, and points without any derivative are 16 ulp away, too. At and near kinks every
-value within `exact.gradient_bounds` is right. So are a power (N.H)^n below the smallest normal number and a zero in its
-place: its slopes may be larger than that, and would be asked for digits that no format with underflow has.
+value within `exact.gradient_bounds` is right. So are a power (N.H)^n below smallest normal number / epsilon (2^-103 in
+float32) and a zero in its place: multiplied by ordinary factors it underflows, while its slopes may stay above.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from .case import Case
 from .exact import Exact, evaluate
 from .paths import Path, get, put
 from .tape import Decision
-from .ulp import FORMATS, input_ulp, neighbours, output_ulp
+from .ulp import input_ulp, neighbours, output_ulp, underflow_threshold
 
 MAX_CONDITION = 1000.0
 MIN_DISTANCE = 16.0
@@ -105,12 +105,12 @@ def distance(decision: Decision, case: Case, exact: Exact, precision: int = 32) 
 
 
 def near_ties(case: Case, precision: int = 32) -> Callable[[Decision], bool]:
-    """For `exact.gradient_bounds`: kinks within 16 ulp, and powers below the format's smallest normal number."""
+    """For `exact.gradient_bounds`: kinks within 16 ulp, and powers that may underflow."""
     exact = evaluate(case, 1)
 
     def is_tie(decision: Decision) -> bool:
         if decision.kind == "underflow":
-            return bool(decision.margin < float(np.finfo(FORMATS[precision]).tiny))
+            return bool(decision.margin < underflow_threshold(precision))
         return distance(decision, case, exact, precision) < MIN_DISTANCE
 
     return is_tie

@@ -10,7 +10,7 @@ import numpy as np
 from .case import Case, Fog, Light
 from .dual import Dual, Vector, cross, dot, minus, times
 from .paths import Path, float_paths, get
-from .ulp import FORMATS, input_ulp
+from .ulp import input_ulp, underflow_threshold
 
 WIDE = np.longdouble
 if np.finfo(WIDE).nmant < 63:
@@ -58,7 +58,7 @@ class FastTape:
         self.case = columns.template
         self.ulps = input_ulp(columns.values, precision) if order else None
         self.ulp_of_one = input_ulp(1.0, precision)
-        self.smallest = WIDE(np.finfo(FORMATS[precision]).tiny)
+        self.smallest = underflow_threshold(precision)
         self.distances = {kind: np.full(columns.count, np.inf) for kind in ("jump", "kink", "cone")}
         self.kinks: dict[str, np.ndarray] = {}
         self.active: Any = np.True_
@@ -105,7 +105,7 @@ class FastTape:
         return positive
 
     def underflow(self, name: str, x: Dual) -> Dual:
-        """x, or 0 where it lies below the smallest normal number and is chosen (by `flip`) to be lost."""
+        """x, or 0 where it may underflow and is chosen (by `flip`) to be lost."""
         lost = (x.value > 0) & (x.value < self.smallest) & self.active
         self.kinks[name] = np.where(np.broadcast_to(lost, (self.columns.count,)), 0.0, np.inf)
         return select(lost, self.constant(0), x) if name in self.flip else x

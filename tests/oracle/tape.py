@@ -21,9 +21,9 @@ class Decision:
 
     `kind`: across it the value jumps ("jump"), or is continuous with a jump of the derivative ("kink"); at a "cone"
     there is no derivative at all (the tip of |x|, an infinite slope). "underflow" is no comparison of the equation: a
-    margin below the smallest normal number of a format may as well be taken for 0. `slopes[i]` bounds how fast the
-    margin moves with input i; `rounding`: it is a sum of numbers near 1 and so moves by an ulp of 1 even if no input
-    does.
+    margin that a format may lose (see `ulp.underflow_threshold`) may as well be taken for 0. `slopes[i]` bounds how
+    fast the margin moves with input i; `rounding`: it is a sum of numbers near 1 and so moves by an ulp of 1 even if
+    no input does.
     """
 
     name: str

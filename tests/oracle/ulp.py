@@ -15,6 +15,12 @@ import numpy as np
 FORMATS: dict[int, Any] = {32: np.float32, 64: np.float64}
 
 
+def underflow_threshold(precision: int) -> float:
+    """Smallest normal number / machine epsilon: what is smaller may be lost once ordinary factors are multiplied on."""
+    info = np.finfo(FORMATS[precision])
+    return float(info.tiny) / float(info.eps)
+
+
 def neighbours(value: Any, precision: int) -> list[np.ndarray]:
     """The places [...] to which inputs [...] move by one ulp, in the input's own (wider) type."""
     wide = np.asarray(value)
