@@ -132,7 +132,10 @@ class Camera:
         Raises:
             ValueError: the scene has no shape with geometry.
         """
-        center, radius = bounding_sphere(scene)
+        sphere = bounding_sphere(scene)
+        if sphere is None:
+            raise ValueError("Camera.view_all: the scene has no shape with geometry to look at")
+        center, radius = sphere
         toward = _finite("Camera.view_all: direction", direction, (3,))
         if not np.any(toward):
             raise ValueError("Camera.view_all: direction is zero")
@@ -146,12 +149,16 @@ class Camera:
         """The camera that a scene is first seen with.
 
         The first Viewpoint (X3D 23.3.1). Without one: X3D's default Viewpoint if all shapes lie in its view and fill at
-        least a tenth of it, otherwise `view_all` (browsers do either; meshes have sizes of their own).
+        least a tenth of it (or there are none), otherwise `view_all`. Browsers do either; meshes have sizes of their
+        own.
         """
         if scene.document.viewpoints:
             return cls.from_viewpoint(scene.document.viewpoints[0])
         default = cls.from_viewpoint(DEFAULT_VIEWPOINT)
-        center, radius = bounding_sphere(scene)
+        sphere = bounding_sphere(scene)
+        if sphere is None:
+            return default
+        center, radius = sphere
         half = DEFAULT_VIEWPOINT.field_of_view / 2
         distance = float(np.linalg.norm(center - default.position))
         if distance > radius:
@@ -189,12 +196,8 @@ class Camera:
         return Rays(self.position, points @ self.pixel_to_world(width, height).T)
 
 
-def bounding_sphere(scene: Scene) -> tuple[np.ndarray, float]:
-    """Centre and radius of a sphere around the bounding box of all shapes, world space.
-
-    Raises:
-        ValueError: the scene has no shape with geometry.
-    """
+def bounding_sphere(scene: Scene) -> tuple[np.ndarray, float] | None:
+    """Centre and radius of a sphere around the bounding box of all shapes, world space; None without geometry."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     seen: dict[int, np.ndarray] = {}
     for placed in scene.document.shapes:
@@ -205,7 +208,7 @@ def bounding_sphere(scene: Scene) -> tuple[np.ndarray, float]:
             points = apply_to_points(placed.to_world, seen[key])
             low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
     if np.any(low > high):
-        raise ValueError("scene: no shape has geometry to look at")
+        return None
     return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
 
 

@@ -10,8 +10,8 @@ from .polygons import Faces, face_normals
 def crease_normals(faces: Faces, vertex: np.ndarray, points: np.ndarray, crease_angle: float) -> np.ndarray:
     """Normals [C, 3] at the corners: smooth across an edge where the two faces' normals differ by less than the angle.
 
-    The faces around a vertex that are joined by smooth edges share one normal there: the mean of their unit normals,
-    weighted by each face's angle at the vertex, so that it does not depend on how faces are cut.
+    The faces around a vertex that are joined by smooth edges share one normal there: the mean of their unit normals
+    (the clause leaves the weights open; 11.4.6 and the browsers average).
 
     Args:
         faces: the polygons.
@@ -22,31 +22,25 @@ def crease_normals(faces: Faces, vertex: np.ndarray, points: np.ndarray, crease_
     unit = _unit(face_normals(faces, points))
     if crease_angle <= 0 or len(points) == 0:
         return unit[faces.face]
-    return _shared(faces, unit, _smooth_groups(faces, vertex, unit, crease_angle), _corner_angles(faces, points))
+    return _shared(faces, unit, _smooth_groups(faces, vertex, unit, crease_angle))
 
 
 def vertex_normals(faces: Faces, vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Normals [C, 3]: at each vertex the mean of the unit normals of all faces that share it (X3D 11.4.6)."""
-    return _shared(faces, _unit(face_normals(faces, points)), vertex, np.ones(len(points)))
+    return _shared(faces, _unit(face_normals(faces, points)), vertex)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.finfo(np.float64).tiny)
 
 
-def _shared(faces: Faces, unit: np.ndarray, group: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """[C, 3], the weighted mean of the unit face normals over each group of corners, normalised."""
-    weighted = unit[faces.face] * weight[:, None]
-    sums = np.stack([np.bincount(group, weighted[:, axis]) for axis in range(3)], axis=1)[group]
+def _shared(faces: Faces, unit: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """[C, 3], the mean of the unit face normals over each group of corners, normalised."""
+    own = unit[faces.face]
+    sums = np.stack([np.bincount(group, own[:, axis]) for axis in range(3)], axis=1)[group]
     length = np.linalg.norm(sums, axis=1, keepdims=True)
     # Faces that cancel out (a sheet folded upon itself) keep their own normals.
-    return np.where(length > 1e-9, sums / np.maximum(length, 1e-9), unit[faces.face])
-
-
-def _corner_angles(faces: Faces, points: np.ndarray) -> np.ndarray:
-    """[C], the angle of each face at its corner."""
-    back, on = points[faces.preceding] - points, points[faces.following] - points
-    return np.arctan2(np.linalg.norm(np.cross(on, back), axis=1), np.einsum("ij,ij->i", on, back))
+    return np.where(length > 1e-9, sums / np.maximum(length, 1e-9), own)
 
 
 def _smooth_groups(faces: Faces, vertex: np.ndarray, unit: np.ndarray, crease_angle: float) -> np.ndarray:

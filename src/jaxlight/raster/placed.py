@@ -44,7 +44,7 @@ class PlacedTriangles:
         """Every shape cut into triangles, curved ones as finely as the picture asks for.
 
         Raises:
-            ValueError: the scene has no shape with geometry, or a geometry has an index that does not fit.
+            ValueError: a geometry has an index that does not fit.
         """
         known: dict[tuple[int, int], Triangles] = {}
         all_triangles = []
@@ -55,14 +55,12 @@ class PlacedTriangles:
                 known[key] = tessellate(placed.node, segments)
             all_triangles.append(known[key])
         first = np.cumsum([0, *(len(triangles) for triangles in all_triangles)])
-        if first[-1] == 0:
-            raise ValueError("rasterize: the scene has no shape with geometry; there is nothing to see")
         return cls(scene, tuple(all_triangles), first)
 
     def prepared(self, camera: Camera, width: int, height: int) -> Prepared:
         """The triangles as the rasteriser tests them."""
         pixel_to_camera = camera.pixel_to_camera(width, height)
-        parts = []
+        parts = [prepare(np.zeros((3, 3, 0)), pixel_to_camera, width, height, cull=True)]
         for placed, triangles, first in zip(self.scene.document.shapes, self.triangles, self.first, strict=False):
             # Term by term: equal corners give bitwise equal results wherever they stand, which a blocked matrix
             # product does not promise, and without which a hair's breadth could open between triangles.
@@ -80,7 +78,7 @@ class PlacedTriangles:
 
     def surface_of(self, number: np.ndarray) -> np.ndarray:
         """Row in Scene.surfaces of each triangle."""
-        rows = np.array([placed.surface for placed in self.scene.document.shapes])
+        rows = np.array([placed.surface for placed in self.scene.document.shapes], dtype=np.int64)
         return rows[np.searchsorted(self.first, number, side="right") - 1]
 
     def attributes(self, eye: np.ndarray, number: np.ndarray, weight: np.ndarray, is_back: np.ndarray) -> Attributes:
@@ -99,7 +97,8 @@ class PlacedTriangles:
         shape = np.searchsorted(self.first, number, side="right") - 1
         by_shape = np.argsort(shape, kind="stable")
         hit, starts = np.unique(shape[by_shape], return_index=True)
-        for which, here in zip(hit, np.split(by_shape, starts[1:]), strict=True):
+        for which, start, stop in zip(hit, starts, [*starts[1:], count], strict=False):
+            here = by_shape[start:stop]
             placed, triangles = scene.document.shapes[which], self.triangles[which]
             row = number[here] - self.first[which]
             at = weight[here, ::-1] if mirrors(placed.to_world) else weight[here]

@@ -59,7 +59,8 @@ def rasterize(
     order = np.lexsort((morton(seen.x, seen.y), surface))
     seen = _Hits(*(part[order] for part in seen))
     if len(order) == 0:
-        warnings.warn("rasterize: the camera sees no surface; the picture is all background", stacklevel=2)
+        reason = "the camera sees no surface" if placed.first[-1] else "no shape of the scene has geometry"
+        warnings.warn(f"rasterize: {reason}; the picture is all background", stacklevel=2)
     attributes = placed.attributes(
         camera.position,
         prepared.number[seen.row],

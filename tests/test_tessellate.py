@@ -1,0 +1,338 @@
+"""Geometry nodes as triangles: areas, orientation, normals, texture mapping, attributes, errors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from jaxlight import nodes
+from jaxlight.raster import Triangles, tessellate
+from jaxlight.raster.polygons import MAX_CONCAVE_CORNERS
+from jaxlight.raster.tessellate import segments_for
+
+
+def triangles_of(geometry: nodes.Node, name: str = "", segments: int = 64, **appearance: object) -> Triangles:
+    look = nodes.Appearance(**appearance) if appearance else None
+    return tessellate(nodes.Shape(geometry=geometry, appearance=look, name=name), segments)
+
+
+def area_vectors(triangles: Triangles) -> np.ndarray:
+    a, b, c = np.moveaxis(triangles.position, 1, 0)
+    return np.cross(b - a, c - a) / 2
+
+
+def volume(triangles: Triangles) -> float:
+    """Enclosed volume by the divergence theorem; positive when faces are counterclockwise outside."""
+    return float(np.einsum("ij,ij->", area_vectors(triangles), triangles.position.mean(axis=1)) / 3)
+
+
+@pytest.mark.parametrize(
+    ("geometry", "exact"),
+    [
+        (nodes.Box(size=(1, 2, 3)), 6.0),
+        (nodes.Sphere(radius=2), 4 / 3 * math.pi * 8),
+        (nodes.Cylinder(radius=2, height=3), math.pi * 12),
+        (nodes.Cone(bottom_radius=2, height=3), math.pi * 4),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_primitives_are_closed_outside_out_and_of_the_right_volume(geometry: nodes.Node, exact: float) -> None:
+    triangles = triangles_of(geometry, segments=512)
+    # An inscribed n-gon has sin(x) / x of the circle's area, x = 2 pi / n; for the sphere in both directions.
+    lost = 0 if isinstance(geometry, nodes.Box) else 3 * (2 * math.pi / 512) ** 2 / 6
+    assert (1 - lost) * exact * (1 - 1e-12) <= volume(triangles) <= exact * (1 + 1e-12)
+    # Closed: the area vectors of a closed surface cancel.
+    np.testing.assert_allclose(area_vectors(triangles).sum(axis=0), 0, atol=1e-12 * exact)
+    outwards = np.einsum("ij,ikj->ik", area_vectors(triangles), triangles.normal)
+    assert np.all(outwards > 0)
+
+
+def test_corner_normals_of_curved_primitives_are_exact() -> None:
+    sphere = triangles_of(nodes.Sphere(radius=3), segments=24)
+    np.testing.assert_allclose(sphere.normal * 3, sphere.position, atol=1e-15)
+    cylinder = triangles_of(nodes.Cylinder(radius=2, top=False, bottom=False), segments=24)
+    np.testing.assert_allclose(cylinder.normal * 2, cylinder.position * [1, 0, 1], atol=1e-15)
+    cone = triangles_of(nodes.Cone(bottom_radius=2, height=3, bottom=False), segments=24)
+    at_rim = cone.position[..., 1] < 0
+    slope = np.einsum("ij,ij->i", cone.normal[at_rim], cone.position[at_rim] - [0, 1.5, 0])
+    np.testing.assert_allclose(slope, 0, atol=1e-14)  # perpendicular to the line to the apex
+
+
+def test_the_parts_of_primitives_that_are_switched_off_are_missing() -> None:
+    full = len(triangles_of(nodes.Cylinder()))
+    assert len(triangles_of(nodes.Cylinder(top=False))) == full - 64
+    assert len(triangles_of(nodes.Cylinder(side=False))) == 128
+    assert len(triangles_of(nodes.Cone(side=False, bottom=False))) == 0
+
+
+def texcoord_at(
+    triangles: Triangles, point: tuple[float, float, float], normal: tuple[float, float, float]
+) -> np.ndarray:
+    """The texture coordinate of the corner at `point` whose normal is `normal`."""
+    is_there = np.linalg.norm(triangles.position - np.array(point), axis=2) < 1e-9
+    is_there &= np.linalg.norm(triangles.normal - np.array(normal), axis=2) < 1e-9
+    found = triangles.texcoord[is_there]
+    assert len(found), "no such corner"
+    assert np.ptp(found, axis=0).max() < 1e-12
+    return found[0]
+
+
+@pytest.mark.parametrize(
+    ("normal", "low_left", "up_right"),
+    [
+        ((0, 0, 1), (-1, -1, 1), (1, 1, 1)),
+        ((0, 0, -1), (1, -1, -1), (-1, 1, -1)),
+        ((1, 0, 0), (1, -1, 1), (1, 1, -1)),
+        ((-1, 0, 0), (-1, -1, -1), (-1, 1, 1)),
+        ((0, 1, 0), (-1, 1, 1), (1, 1, -1)),
+        ((0, -1, 0), (-1, -1, -1), (1, -1, 1)),
+    ],
+)
+def test_the_texture_stands_upright_on_each_face_of_a_box(normal: tuple, low_left: tuple, up_right: tuple) -> None:
+    """X3D 13.3.1: upright seen from outside; top seen with -z up, bottom with +z up."""
+    box = triangles_of(nodes.Box())
+    np.testing.assert_allclose(texcoord_at(box, low_left, normal), (0, 0))
+    np.testing.assert_allclose(texcoord_at(box, up_right, normal), (1, 1))
+
+
+def test_textures_wrap_round_primitives_from_the_back_counterclockwise() -> None:
+    """X3D 13.3.2, 13.3.3, 13.3.7: the seam is at the back (-z), s grows by -x, +z, +x."""
+    for geometry, y, t in ((nodes.Sphere(), 0, 0.5), (nodes.Cylinder(), 1, 1.0), (nodes.Cone(), -1, 0.0)):
+        triangles = triangles_of(geometry)
+        assert triangles.curved is not None
+        on_side = triangles.curved[:, None]
+        for s, (x, z) in ((0.25, (-1, 0)), (0.5, (0, 1)), (0.75, (1, 0))):
+            there = on_side & (np.linalg.norm(triangles.position - np.array([x, y, z]), axis=2) < 1e-9)
+            np.testing.assert_allclose(triangles.texcoord[there], np.tile([s, t], (there.sum(), 1)), atol=1e-12)
+            assert there.any()
+
+
+def test_caps_show_the_disc_of_the_texture() -> None:
+    """X3D 13.3.3: the top upright with -z up, the bottom with +z up."""
+    cylinder = triangles_of(nodes.Cylinder(side=False))
+    np.testing.assert_allclose(texcoord_at(cylinder, (0, 1, -1), (0, 1, 0)), (0.5, 1))
+    np.testing.assert_allclose(texcoord_at(cylinder, (1, 1, 0), (0, 1, 0)), (1, 0.5))
+    np.testing.assert_allclose(texcoord_at(cylinder, (0, -1, 1), (0, -1, 0)), (0.5, 1))
+    np.testing.assert_allclose(texcoord_at(cylinder, (1, -1, 0), (0, -1, 0)), (1, 0.5))
+
+
+SQUARE = nodes.Coordinate(point=[(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
+
+
+def test_default_texture_coordinates_follow_the_bounding_box() -> None:
+    """X3D 13.3.6: s along the longest side, t along the next, up to the ratio of the two; ties x, y, z."""
+    wide = nodes.Coordinate(point=[(0, 2, 5), (0, 2, 1), (0, 4, 1), (0, 4, 5)])
+    triangles = triangles_of(nodes.IndexedFaceSet(coord=wide, coord_index=[0, 1, 2, 3]))
+    expected = (triangles.position[..., [2, 1]] - [1, 2]) / 4
+    np.testing.assert_allclose(triangles.texcoord, expected)
+    tie = triangles_of(nodes.IndexedFaceSet(coord=SQUARE, coord_index=[0, 1, 2, 3]))
+    np.testing.assert_allclose(tie.texcoord, tie.position[..., :2])
+
+
+def test_texture_transform_follows_the_clause() -> None:
+    """X3D 18.4.7: Tc' = -C S R C T Tc, spelled out with 3 x 3 matrices."""
+
+    def shift(x: float, y: float) -> np.ndarray:
+        return np.array([[1, 0, x], [0, 1, y], [0, 0, 1]])
+
+    cosine, sine = math.cos(0.4), math.sin(0.4)
+    rotation = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
+    matrix = shift(-0.3, -0.1) @ np.diag([2, 3, 1]) @ rotation @ shift(0.3, 0.1) @ shift(0.5, -0.2)
+    transform = nodes.TextureTransform(center=(0.3, 0.1), rotation=0.4, scale=(2, 3), translation=(0.5, -0.2))
+    plain, moved = triangles_of(nodes.Box()), triangles_of(nodes.Box(), texture_transform=transform)
+    homogeneous = np.concatenate([plain.texcoord, np.ones((12, 3, 1))], axis=2)
+    np.testing.assert_allclose(moved.texcoord, (homogeneous @ matrix.T)[..., :2], atol=1e-15)
+
+
+CUBE = nodes.Coordinate(point=[(x, y, z) for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)])
+CUBE_FACES = [0, 2, 3, 1, -1, 4, 5, 7, 6, -1, 0, 1, 5, 4, -1, 2, 6, 7, 3, -1, 0, 4, 6, 2, -1, 1, 3, 7, 5]
+
+
+def cube(**fields: object) -> Triangles:
+    return triangles_of(nodes.IndexedFaceSet(coord=CUBE, coord_index=CUBE_FACES, **fields))
+
+
+def test_crease_angle_decides_edge_by_edge() -> None:
+    """X3D 13.3.6: smooth where the angle between the faces' normals is less than the crease angle."""
+    flat, smooth = cube(crease_angle=math.pi / 2), cube(crease_angle=math.pi / 2 + 1e-9)
+    expected = area_vectors(flat) / np.linalg.norm(area_vectors(flat), axis=1, keepdims=True)
+    np.testing.assert_allclose(flat.normal, np.repeat(expected[:, None], 3, axis=1), atol=1e-15)
+    np.testing.assert_allclose(smooth.normal, smooth.position / math.sqrt(3), atol=1e-15)
+
+
+def test_a_crease_separates_the_smooth_parts_of_a_vertex() -> None:
+    """A roof of four strips, 0.3 radians apart but for a ridge of 1.2 in the middle: two smooth halves."""
+    turns = np.cumsum([0.0, 0.3, 1.2, 0.3])
+    path = np.concatenate([[(0.0, 0.0)], np.cumsum(np.stack([np.cos(turns), np.sin(turns)], axis=1), axis=0)])
+    points = [(x, y, z) for x, y in path for z in (0.0, 1.0)]
+    faces = [index for i in range(4) for index in (2 * i, 2 * i + 1, 2 * i + 3, 2 * i + 2, -1)]
+    roof = triangles_of(nodes.IndexedFaceSet(coord=nodes.Coordinate(point=points), coord_index=faces, crease_angle=0.5))
+    angle = np.arctan2(-roof.normal[..., 0], roof.normal[..., 1])  # of a flat face: its turn
+    face = np.repeat(np.arange(4), 2)
+    for number, ends in enumerate([(0.0, 0.15), (0.15, 0.3), (1.5, 1.65), (1.65, 1.8)]):
+        np.testing.assert_allclose(np.unique(np.round(angle[face == number], 9)), ends, atol=1e-9)
+
+
+def test_clockwise_faces_are_turned_round_and_their_normals_with_them() -> None:
+    """`ccw` FALSE: the front is where the corners run clockwise; generated normals point there."""
+    ccw, cw = cube(), cube(ccw=False)
+    np.testing.assert_allclose(volume(cw), -volume(ccw))
+    assert np.all(np.einsum("ij,ikj->ik", area_vectors(cw), cw.normal) > 0)
+    given = nodes.Normal(vector=[(0, 0, 1)])
+    kept = cube(ccw=False, normal=given, normal_index=[0] * 6, normal_per_vertex=False)
+    assert np.all(kept.normal == (0, 0, 1))
+
+
+def test_normal_per_vertex_false_makes_flat_normals() -> None:
+    np.testing.assert_array_equal(cube(crease_angle=4.0, normal_per_vertex=False).normal, cube().normal)
+
+
+L_SHAPE = [(0, 0, 0), (2, 0, 0), (2, 1, 0), (1, 1, 0), (1, 2, 0), (0, 2, 0)]
+
+
+@pytest.mark.parametrize("start", range(6))
+@pytest.mark.parametrize("reverse", [False, True])
+def test_concave_faces_are_cut_into_their_own_area(start: int, reverse: bool) -> None:
+    points = L_SHAPE[start:] + L_SHAPE[:start]
+    points = points[::-1] if reverse else points
+    face = nodes.IndexedFaceSet(coord=nodes.Coordinate(point=points), coord_index=list(range(6)), convex=False)
+    areas = area_vectors(triangles_of(face))[:, 2] * (-1 if reverse else 1)
+    assert np.all(areas > 0)
+    np.testing.assert_allclose(areas.sum(), 3)
+
+
+def test_a_star_with_a_bridge_to_its_hole_keeps_the_hole() -> None:
+    outer = [
+        (math.cos(a) * r, math.sin(a) * r, 0) for a, r in zip(np.arange(10) * math.pi / 5, [2, 1] * 5, strict=True)
+    ]
+    hole = [(0.3, 0, 0), (0, -0.3, 0), (-0.3, 0, 0), (0, 0.3, 0)]
+    ring = [*outer, outer[0], *hole, hole[0]]
+    triangles = triangles_of(
+        nodes.IndexedFaceSet(coord=nodes.Coordinate(point=ring), coord_index=list(range(len(ring))), convex=False)
+    )
+    areas = area_vectors(triangles)[:, 2]
+    assert np.all(areas > 0)
+    np.testing.assert_allclose(areas.sum(), 10 * math.sin(math.pi / 5) - 0.18)
+
+
+def test_random_simple_polygons_keep_their_area() -> None:
+    random = np.random.default_rng(5)
+    for count in (5, 17, 60):
+        angles = np.sort(random.uniform(0, 2 * math.pi, count))
+        radii = random.uniform(0.2, 1.0, count)
+        x, y = radii * np.cos(angles), radii * np.sin(angles)
+        points = np.stack([x, y, 0.3 * x - 0.2 * y], axis=1)
+        shape = nodes.IndexedFaceSet(coord=nodes.Coordinate(point=points), coord_index=list(range(count)), convex=False)
+        areas = area_vectors(triangles_of(shape))[:, 2]
+        assert np.all(areas >= -1e-15)
+        np.testing.assert_allclose(areas.sum(), (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2, rtol=1e-12)
+
+
+COLORS = nodes.Color(color=[(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)])
+TWO_FACES = [0, 1, 2, -1, 0, 2, 3, -1]
+
+
+@pytest.mark.parametrize(
+    ("fields", "expected"),
+    [
+        ({}, [[0, 1, 2], [0, 2, 3]]),
+        ({"color_index": [3, 2, 1, -1, 0, 0, 1, -1]}, [[3, 2, 1], [0, 0, 1]]),
+        ({"color_per_vertex": False}, [[0, 0, 0], [1, 1, 1]]),
+        ({"color_per_vertex": False, "color_index": [3, 1]}, [[3, 3, 3], [1, 1, 1]]),
+    ],
+    ids=["vertex", "vertex-indexed", "face", "face-indexed"],
+)
+def test_colours_per_vertex_and_per_face(fields: dict, expected: list) -> None:
+    """X3D 13.3.6: index lists default to coordIndex (vertices) or to the order of the faces."""
+    triangles = triangles_of(nodes.IndexedFaceSet(coord=SQUARE, coord_index=TWO_FACES, color=COLORS, **fields))
+    assert triangles.color is not None
+    np.testing.assert_array_equal(triangles.color, COLORS.color[np.array(expected)])
+
+
+def test_triangle_sets_take_attributes_by_vertex_and_drop_remainders() -> None:
+    """X3D 11.4.6: vertices share the mean of their triangles' normals; a last incomplete triple is ignored."""
+    points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    indexed = triangles_of(
+        nodes.IndexedTriangleSet(coord=nodes.Coordinate(point=points), index=[0, 1, 2, 0, 3, 1, 0, 1], color=COLORS)
+    )
+    assert len(indexed) == 2
+    np.testing.assert_allclose(indexed.normal[0], [(0, 0.5**0.5, 0.5**0.5)] * 2 + [(0, 0, 1)])
+    np.testing.assert_array_equal(indexed.color, COLORS.color[[[0, 1, 2], [0, 3, 1]]])
+    flat = nodes.IndexedTriangleSet(
+        coord=nodes.Coordinate(point=points), index=[0, 1, 2, 0, 3, 1], normal_per_vertex=False
+    )
+    np.testing.assert_allclose(triangles_of(flat).normal[1], [(0, 1, 0)] * 3)
+    plain = triangles_of(nodes.TriangleSet(coord=nodes.Coordinate(point=points)))
+    np.testing.assert_array_equal(plain.position, [points[:3]])
+    np.testing.assert_array_equal(plain.normal, [[(0, 0, 1)] * 3])
+
+
+def test_faces_without_area_are_dropped() -> None:
+    points = nodes.Coordinate(point=[(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0)])
+    faces = nodes.IndexedFaceSet(coord=points, coord_index=[0, 1, 2, -1, 0, 0, 1, -1, 0, 1, -1, 0, 1, 3, -1])
+    assert len(triangles_of(faces)) == 1
+    assert len(tessellate(nodes.Shape())) == 0
+
+
+@pytest.mark.parametrize(
+    ("geometry", "message"),
+    [
+        (
+            nodes.IndexedFaceSet(coord=SQUARE, coord_index=[0, 1, 4]),
+            r"Shape\[wall\].geometry.coord_index: index 4 does not exist, coord.point has 4 values",
+        ),
+        (nodes.IndexedFaceSet(coord_index=[0, 1, 2]), "index 0 does not exist, coord.point is empty"),
+        (
+            nodes.IndexedFaceSet(coord=SQUARE, coord_index=TWO_FACES, color=COLORS, color_index=[0, 1, 2]),
+            "color_index: expected an index for every one in coord_index, got 3",
+        ),
+        (
+            nodes.IndexedFaceSet(coord=SQUARE, coord_index=TWO_FACES, color=COLORS, color_index=[0, 1, 2, 0, -1, 2, 3]),
+            "color_index: -1 must stand where coord_index has it",
+        ),
+        (
+            nodes.IndexedFaceSet(
+                coord=SQUARE, coord_index=TWO_FACES, color=COLORS, color_index=[1], color_per_vertex=False
+            ),
+            "color_index: expected an index for each of 2 faces, got 1",
+        ),
+        (
+            nodes.IndexedFaceSet(coord=SQUARE, coord_index=TWO_FACES, normal=nodes.Normal(vector=[(0, 0, 1)] * 3)),
+            "normal_index: index 3 does not exist, normal.vector has 3 values",
+        ),
+        (
+            nodes.IndexedFaceSet(
+                coord=SQUARE,
+                coord_index=TWO_FACES,
+                tex_coord=nodes.TextureCoordinate(point=[(0, 0)]),
+                tex_coord_index=[0, 0, 0, -1, 0, 0, 9, -1],
+            ),
+            "tex_coord_index: index 9 does not exist",
+        ),
+        (nodes.IndexedTriangleSet(coord=SQUARE, index=[0, 1, 5]), "geometry.index: index 5 does not exist"),
+        (nodes.IndexedTriangleSet(coord=SQUARE, index=[0, 1, -1]), "index: expected indices >= 0"),
+        (nodes.TriangleSet(coord=SQUARE, color=nodes.Color(color=[(1, 1, 1)])), "color.color has 1 values"),
+        (
+            nodes.IndexedFaceSet(
+                coord=nodes.Coordinate(point=[(i % 2 + 1.0, math.sin(i), 0) for i in range(MAX_CONCAVE_CORNERS + 1)]),
+                coord_index=list(range(MAX_CONCAVE_CORNERS + 1)),
+                convex=False,
+            ),
+            "face 0 is concave and has 10001 corners",
+        ),
+    ],
+)
+def test_bad_indices_name_the_shape_and_the_field(geometry: nodes.Node, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        triangles_of(geometry, "wall")
+
+
+def test_segments_keep_the_outline_true() -> None:
+    for radius in (3.0, 40.0, 900.0):
+        segments = segments_for(radius, tolerance=1 / 16)
+        assert radius * (1 - math.cos(math.pi / segments)) <= 1 / 16
+        assert segments % 8 == 0
+    assert segments_for(0.0) == 16
+    assert segments_for(1e9) == 512
