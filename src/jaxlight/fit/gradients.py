@@ -108,7 +108,7 @@ def check_gradients(
         for field in described
     ]
     tangents = {
-        int(k): np.asarray(_forward(parameters, world, samples, options, k), np.float64)
+        int(k): np.asarray(_forward(parameters, world, samples, options, jnp.asarray(k)), np.float64)
         for k in np.concatenate(numbers)
     }
     with jax.enable_x64(True):
@@ -209,7 +209,7 @@ def _slopes(parameters: Parameters, world: World, samples: SampleBuffer, number:
     value = float(parameters.start[number])
     step = 2.0 ** np.round(np.log2(np.cbrt(np.finfo(np.float64).eps) * max(abs(value), 0.1)))
     points = jnp.asarray(value + step * np.array([-2.0, -1.0, 0.0, 1.0, 2.0]))
-    images = np.asarray(_images_at(parameters, world, samples, options, number, points))
+    images = np.asarray(_images_at(parameters, world, samples, options, jnp.asarray(number), points))
     below = (images[0] - 4 * images[1] + 3 * images[2]) / (2 * step)
     above = (-3 * images[2] + 4 * images[3] - images[4]) / (2 * step)
     below, above = np.where(np.isfinite(below), below, above), np.where(np.isfinite(above), above, below)
