@@ -73,7 +73,7 @@ def test_python_runs(clone: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert "Converged" in done.stdout
-    assert (clone / "out" / "fitted.x3d").is_file()
+    assert (clone / "fitted.x3d").is_file()
 
 
 def test_links_lead_somewhere() -> None:

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from .fit import Fit as Fit
     from .fit import Free as Free
     from .fit import View as View
+    from .fit import check_gradients as check_gradients
     from .fit import fit as fit
+    from .fit import write_report as write_report
     from .formats import SceneFileError as SceneFileError
     from .formats import SceneFileWarning as SceneFileWarning
     from .formats import load as load
@@ -59,7 +61,7 @@ _STAGES = {
     "raster": ["Camera", "Orthographic", "SampleBuffer", "rasterize", "samples_from_maps"],
     "lighting": ["LightingOptions", "shade"],
     "image": ["compare", "decode", "encode", "render"],
-    "fit": ["Fit", "Free", "View", "fit"],
+    "fit": ["Fit", "Free", "View", "check_gradients", "fit", "write_report"],
 }
 _STAGE_OF = {name: stage for stage, names in _STAGES.items() for name in names}
 

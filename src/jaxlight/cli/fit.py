@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,6 +21,9 @@ from .start_values import with_start_values
 if TYPE_CHECKING:
     import jaxlight
     from jaxlight.fit import Step
+
+MAX_ROWS = 60
+"""Numbers listed on the terminal."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,7 +93,7 @@ class Fit:
             progress=None if self.quiet else _StepLines(),
         )
         self._write(result, views)
-        print(result)
+        print(_summary(result))
         print(f"\nwritten: {', '.join(str(path) for path in self._outputs())}")
         return 0 if result.converged else 1
 
@@ -148,7 +152,7 @@ class Fit:
         title = f"{self.scene.name} fitted to {', '.join(path.name for path in self.targets)}"
         write_report(report_file, result, views, title=title, options=options, transfer=self.decode)
         with written_whole(numbers_file) as draft:
-            draft.write_text(json.dumps(_numbers(result), indent=2) + "\n")
+            draft.write_text(json.dumps(_numbers(result), indent=2, allow_nan=False) + "\n")
 
 
 class _StepLines:
@@ -171,15 +175,36 @@ class _StepLines:
 
 def _numbers(result: Any) -> dict[str, Any]:
     """The fit as data that JSON can carry."""
-    parameters = result.problem.parameters
+    parameters, known = result.problem.parameters, result.uncertainty
     return {
         "outcome": result.outcome,
         "message": result.message,
-        "rms": result.rms,
-        "loss": result.loss,
+        "rms": _finite(result.rms),
+        "loss": _finite(result.loss),
         "values": {
-            label: {"start": float(start), "fitted": float(value)}
-            for label, start, value in zip(result.labels, parameters.start, result.values, strict=True)
+            label: {"start": float(start), "fitted": float(value), "standard_error": _finite(float(error))}
+            for label, start, value, error in zip(
+                result.labels, parameters.start, result.values, known.standard_error, strict=True
+            )
         },
-        "steps": [step._asdict() for step in result.history],
+        "cautions": known.messages(),
+        "steps": [{name: _finite(value) for name, value in step._asdict().items()} for step in result.history],
     }
+
+
+def _finite(value: float) -> float | None:
+    """The number, or None: JSON has neither infinity nor NaN."""
+    return value if math.isfinite(value) else None
+
+
+def _summary(result: Any) -> str:
+    """The fit for a person: how it ended, each number with its standard error, what to be careful about."""
+    start, known = result.problem.parameters.start, result.uncertainty
+    width = max(len(label) for label in result.labels)
+    lines = [result.message, f"  {'':<{width}}  {'start':>12}  {'fitted':>12}  {'+-':>9}"]
+    table = list(zip(result.labels, start, result.values, known.standard_error, strict=True))
+    for label, old, new, error in table[:MAX_ROWS]:
+        lines.append(f"  {label:<{width}}  {float(old):>12.6g}  {float(new):>12.6g}  {float(error):>9.2g}")
+    if len(table) > MAX_ROWS:
+        lines.append(f"  and {len(table) - MAX_ROWS} more, all of them in fit.json")
+    return "\n".join([*lines, *known.messages()])

@@ -26,6 +26,9 @@ from ..scene.scene import Flags, Scene
 from .fitting import Fit, Step
 from .views import View
 
+MAX_ROWS = 500
+"""Free numbers that are listed; a texture has more than a person reads."""
+
 
 class ViewPictures(NamedTuple):
     """One view as a report shows it. [height, width, 3], row 0 at the top, in the numbers of the target."""
@@ -125,6 +128,7 @@ def report_page(result: Fit, pictures: Sequence[ViewPictures], *, title: str, tr
 {_steps_table(result.history)}
 <h2>Free numbers</h2>
 {_numbers_table(result)}
+{_cautions(result)}
 </body></html>
 """
 
@@ -206,15 +210,26 @@ def _steps_table(history: Sequence[Step]) -> str:
 def _numbers_table(result: Fit) -> str:
     parameters = result.problem.parameters
     start, lower, upper = (np.asarray(a, np.float64) for a in (parameters.start, parameters.lower, parameters.upper))
+    known = result.uncertainty
+    bounds = dict(known.at_bound)
     rows = []
-    for i, label in enumerate(result.labels):
-        value = float(result.values[i])
-        note = "at its bound" if value <= lower[i] or value >= upper[i] else ""
+    for i, label in enumerate(result.labels[:MAX_ROWS]):
+        error = known.standard_error[i]
+        note = f"at its {bounds[label]} bound" if label in bounds else "" if np.isfinite(error) else "not determined"
         rows.append(
-            f"<tr><td>{html.escape(label)}</td><td>{start[i]:.6g}</td><td>{value:.6g}</td>"
-            f"<td>{lower[i]:.3g} to {upper[i]:.3g}</td><td>{note}</td></tr>"
+            f"<tr><td>{html.escape(label)}</td><td>{start[i]:.6g}</td><td>{float(result.values[i]):.6g}</td>"
+            f"<td>{error:.2g}</td><td>{lower[i]:.3g} to {upper[i]:.3g}</td><td>{note}</td></tr>"
         )
-    return f"<table>{_heads(('number', 'start', 'fitted', 'range', ''))}{''.join(rows)}</table>"
+    heads = ("number", "start", "fitted", "standard error", "range", "")
+    more = f"<p>and {len(result.labels) - MAX_ROWS} more</p>" if len(result.labels) > MAX_ROWS else ""
+    return f"<table>{_heads(heads)}{''.join(rows)}</table>{more}"
+
+
+def _cautions(result: Fit) -> str:
+    """What to know before believing the numbers."""
+    sentences = result.uncertainty.messages()
+    listed = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences)
+    return f"<h2>What the pictures do not tell</h2><ul>{listed}</ul>" if sentences else ""
 
 
 def _heads(names: Sequence[str]) -> str:
