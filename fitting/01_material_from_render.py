@@ -2,8 +2,8 @@
 
 In: data/spot/spot.x3d (geometry and camera; its material and light are what the program was given, here the truth to
 compare with) and data/spot/spot_256.png, 8 bits a channel, made as data/spot/HOW_IT_WAS_MADE.txt says.
-Out (folder --output): fitted.x3d, the scene with what was found; comparison.png, the picture beside start and fit;
-report.txt, the table that is printed: each free number, its truth, start and error, and the error that 8 bits allow.
+Out (folder --output): fitted.x3d, the scene with what was found; fitted.png, its picture; report.html, a page on what
+the fit did; report.txt, the printed table: each free number, its truth, start, error, and the error that 8 bits allow.
 
 Free are the diffuse and specular colour, the shininess and the place of the lamp, from a start that is wrong in all of
 them. The lamp's colour and attenuation are known: only their product with the material's colours can be seen.
@@ -16,11 +16,12 @@ from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from jaxlight import Fit, SampleBuffer, Scene, View, fit, load, rasterize, read_image, save, shade
-from pictures import save_grid, signed, table
+from jaxlight import Fit, Scene, View, fit, load, rasterize, read_image, render, save, write_image, write_report
+from pictures import table
 
 DATA = Path(__file__).parent / "data" / "spot"
 FREE = [
@@ -29,7 +30,9 @@ FREE = [
     "Material[body].shininess",
     "PointLight[key].location",
 ]
-START = np.array([0.4, 0.4, 0.4, 0.5, 0.5, 0.5, 0.6, -1.0, 3.0, -3.0])
+START = [[0.4, 0.4, 0.4], [0.5, 0.5, 0.5], 0.6, [-1.0, 3.0, -3.0]]
+ROUNDING = 1 / 255 / np.sqrt(12)
+"""Standard deviation of what rounding to 8 bits does to a number: it is spread evenly over one level."""
 
 
 class Figures(NamedTuple):
@@ -37,79 +40,59 @@ class Figures(NamedTuple):
 
     labels: tuple[str, ...]
     truth: np.ndarray
+    start: np.ndarray
     fitted: np.ndarray
     allowed: np.ndarray
-    """Standard error of each number when every channel is rounded to 8 bits."""
+    """Standard error of each number when every channel of the picture is rounded to 8 bits."""
     rms: float
     largest: float
     steps: int
     converged: bool
 
 
-def numbers(scene: Scene) -> np.ndarray:
-    """The free numbers of a scene in the order of FREE."""
-    leaves = free_leaves(scene)
-    return np.concatenate([np.asarray(leaf, float).reshape(-1) for leaf in leaves])
-
-
-def with_numbers(scene: Scene, values: jax.Array | np.ndarray) -> Scene:
-    """The scene with its free numbers replaced."""
-    diffuse, specular, shininess, location = values[:3], values[3:6], values[6:7], values[7:]
-    new = [diffuse[None], specular[None], shininess, location[None]]
-    old = free_leaves(scene)
-    return eqx.tree_at(free_leaves, scene, [jax.numpy.asarray(a, b.dtype) for a, b in zip(new, old, strict=True)])
-
-
 def free_leaves(scene: Scene) -> list[jax.Array]:
     """The arrays that FREE names."""
-    materials, lamp = scene.materials, scene.point
-    return [materials.diffuse_color, materials.specular_color, materials.shininess, lamp.location]
+    materials = scene.materials
+    return [materials.diffuse_color, materials.specular_color, materials.shininess, scene.point.location]
 
 
-def errors_allowed(scene: Scene, samples: SampleBuffer) -> np.ndarray:
-    """Standard errors of the free numbers when each channel of each pixel is rounded to 8 bits.
-
-    Rounding errors are spread evenly over one level, so their variance is (1/255)^2 / 12.
-    """
-
-    def colors(values: jax.Array, scene: Scene, samples: SampleBuffer) -> jax.Array:
-        return shade(with_numbers(scene, values), samples)[:, :3].reshape(-1)
-
-    values = jax.numpy.asarray(numbers(scene), scene.point.location.dtype)
-    jacobian = np.asarray(jax.jit(jax.jacfwd(colors))(values, scene, samples), float)
-    return np.sqrt(np.diagonal(np.linalg.inv(jacobian.T @ jacobian))) / 255 / np.sqrt(12)
+def numbers(scene: Scene) -> np.ndarray:
+    """The free numbers of a scene in the order of FREE."""
+    return np.concatenate([np.asarray(leaf, float).reshape(-1) for leaf in free_leaves(scene)])
 
 
-def picture_of(scene: Scene, samples: SampleBuffer) -> np.ndarray:
-    """[height, width, 3] over a black background."""
-    picture = np.zeros((samples.height * samples.width, 3))
-    picture[np.asarray(samples.pixel)] = np.asarray(shade(scene, samples))[:, :3]
-    return picture.reshape(samples.height, samples.width, 3)
+def wrong_start(truth: Scene) -> Scene:
+    """The scene with START in the place of what is to be found."""
+    new = [
+        jnp.full(leaf.shape, jnp.asarray(value), leaf.dtype)
+        for leaf, value in zip(free_leaves(truth), START, strict=True)
+    ]
+    return eqx.tree_at(free_leaves, truth, new)
 
 
 def report(found: Fit, figures: Figures, size: int) -> str:
     """The table of the fitted numbers, and how the pictures compare."""
+    columns = (figures.truth, figures.start, figures.fitted, figures.fitted - figures.truth, figures.allowed)
     rows = [
-        [label, f"{true:.4f}", f"{start:.4f}", f"{value:.5f}", f"{value - true:+.5f}", f"{allowed:.5f}"]
-        for label, true, start, value, allowed in zip(
-            figures.labels, figures.truth, START, figures.fitted, figures.allowed, strict=True
-        )
+        [label, f"{true:.4f}", f"{start:.4f}", f"{value:.5f}", f"{error:+.5f}", f"{allowed:.5f}"]
+        for label, true, start, value, error, allowed in zip(figures.labels, *columns, strict=True)
     ]
     return "\n".join(
         [
             f"Spot, {size} x {size}, rendered by view3dscene: {len(rows)} numbers from one 8-bit picture",
             found.message,
+            *found.uncertainty.messages(),
             "",
             table(["field", "truth", "start", "fitted", "error", "8 bits allow"], rows),
             "",
-            f"Picture against fit, in levels of 255: RMS {figures.rms:.3f}, largest {figures.largest:.3f}"
+            f"Fit against picture, in levels of 255: RMS {figures.rms:.3f}, largest {figures.largest:.3f}"
             " (rounding to 8 bits alone: 0.289 and 0.5)",
         ]
     )
 
 
 def main(output: Path = Path("output/01_material_from_render"), size: Literal[256, 512] = 256) -> Figures:
-    """Fit the picture, print the table and write fitted.x3d, comparison.png and report.txt.
+    """Fit the picture, print the table and write fitted.x3d, fitted.png, report.html and report.txt.
 
     Args:
         output: folder for what is written.
@@ -118,16 +101,18 @@ def main(output: Path = Path("output/01_material_from_render"), size: Literal[25
     truth = load(DATA / "spot.x3d")
     picture = read_image(DATA / f"spot_{size}.png")[..., :3]
     samples = rasterize(truth, width=size, height=size)
-    start = with_numbers(truth, START)
-    found = fit(start, View(samples, picture, saturated=1.0), FREE)
+    start = wrong_start(truth)
+    view = View(samples, picture, noise=ROUNDING, saturated=1.0, name=f"spot_{size}")
+    found = fit(start, view, FREE)
 
-    fitted = picture_of(found.scene, samples)
+    fitted = np.asarray(render(found.scene, samples), float)
     levels = 255 * np.abs(fitted - picture).reshape(-1, 3)[np.asarray(samples.pixel)]
     figures = Figures(
         labels=found.labels,
         truth=numbers(truth),
+        start=numbers(start),
         fitted=numbers(found.scene),
-        allowed=errors_allowed(found.scene, samples),
+        allowed=found.uncertainty.standard_error,
         rms=float(np.sqrt(np.mean(levels**2))),
         largest=float(levels.max()),
         steps=found.accepted_steps,
@@ -138,14 +123,8 @@ def main(output: Path = Path("output/01_material_from_render"), size: Literal[25
     print(text)
     (output / "report.txt").write_text(text + "\n")
     save(found.scene, output / "fitted.x3d")
-    difference = np.mean(fitted - picture, axis=2) * 255
-    save_grid(
-        output / "comparison.png",
-        [
-            {"start": picture_of(start, samples), "fitted": fitted},
-            {"view3dscene, 8 bits": picture, "fit - picture, 1/255 full": signed(difference, 1.0)},
-        ],
-    )
+    write_image(output / "fitted.png", fitted)
+    write_report(output / "report.html", found, view, title="Spot: material and lamp from one 8-bit picture")
     return figures
 
 

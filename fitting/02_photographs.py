@@ -70,7 +70,12 @@ def fit_lamps(
     samples = cat.samples(normals, chosen)
     views = [
         View(
-            samples, photograph[chosen], weight=(photograph[chosen] > SHADOW) / NOISE**2, lights=[f"SpotLight[{lamp}]"]
+            samples,
+            cat.image(photograph),
+            mask=cat.image(photograph > SHADOW),
+            noise=NOISE,
+            lights=[f"SpotLight[{lamp}]"],
+            name=lamp,
         )
         for lamp, photograph in photographs.items()
     ]
@@ -99,7 +104,7 @@ def train(
     for _ in range(rounds):
         scene = fit_lamps(cat, scene, normals, photographs, chosen, "Material[plaster].specular_color", gloss)
         samples = cat.samples(normals)
-        highlights = np.asarray(photographs_of(scene, samples) - photographs_of(matt(scene), samples), float)
+        highlights = photographs_of(cat, scene, samples) - photographs_of(cat, matt(scene), samples)
         normals = lambert_normals(pictures - highlights, lights_at(cat, scene))
         texture = cat.texture(np.linalg.norm(normals, axis=1))
         scene = eqx.tree_at(lambda s: s.textures[0].image, scene, texture.astype(scene.textures[0].image.dtype))
@@ -119,14 +124,14 @@ def predict(
     lit = make_scene(cat, np.linalg.norm(normals, axis=1), [lamp])
     lit = eqx.tree_at(lambda s: s.materials, lit, scene.materials)
     lit = fit_lamps(cat, lit, normals, {name: seen}, chosen)
-    return lit, np.asarray(photographs_of(lit, cat.samples(normals))[0], float)
+    return lit, photographs_of(cat, lit, cat.samples(normals))[0]
 
 
 def hold_out(
     cat: Cat, name: str, photographs: dict[str, np.ndarray], directions: dict[str, np.ndarray], every: int, rounds: int
 ) -> tuple[HeldOut, dict[str, Errors]]:
     """Fit all photographs but one, predict that one, by jaxlight and by Lambert's law alone."""
-    chosen = np.random.default_rng(0).random(len(cat.row)) < 1 / every
+    chosen = np.random.default_rng(0).random(len(cat.position)) < 1 / every
     seen, direction = photographs[name], directions[name]
     others = {other: picture for other, picture in photographs.items() if other != name}
     pictures, to_lamps = np.stack(list(others.values())), np.stack([directions[other] for other in others])

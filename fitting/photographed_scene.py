@@ -10,12 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlight import SampleBuffer, Scene, nodes, shade
+from jaxlight import Orthographic, SampleBuffer, Scene, nodes, render, samples_from_maps
 from photometric_stereo import falloff
 
 LAMP_DISTANCE = 20.0
 """Far, as the chrome spheres say."""
-VIEWER = (0.0, 0.0, 1000.0)
 
 
 class Cat:
@@ -24,11 +23,10 @@ class Cat:
     def __init__(self, mask: np.ndarray) -> None:
         self.mask = mask
         self.height, self.width = mask.shape
-        self.row, self.column = np.nonzero(mask)
-        x = (self.column + 0.5 - self.width / 2) / self.height
-        y = (self.height / 2 - self.row - 0.5) / self.height
+        row, column = np.nonzero(mask)
+        x = (column + 0.5 - self.width / 2) / self.height
+        y = (self.height / 2 - row - 0.5) / self.height
         self.position = np.stack([x, y, np.zeros_like(x)], axis=1)
-        self.texel = (self.height - 1 - self.row) * self.width + self.column
 
     def image(self, values: np.ndarray) -> np.ndarray:
         """[height, width] with `values` [pixels] on the cat and 0 elsewhere."""
@@ -40,16 +38,13 @@ class Cat:
         """The albedo as a texture [height, width, 1], row 0 at the bottom."""
         return self.image(np.clip(albedo, 0, 1))[::-1, :, None]
 
-    def samples(self, normals: np.ndarray, chosen: np.ndarray | slice = slice(None)) -> SampleBuffer:
-        """Samples of the chosen pixels, each with its own texel."""
-        texel = self.texel[chosen]
-        return SampleBuffer.create(
-            position=self.position[chosen],
-            normal=np.broadcast_to(normals, self.position.shape)[chosen],
-            eye=VIEWER,
-            texel_index=np.repeat(texel[:, None], 4, axis=1),
-            texel_weight=np.tile([1.0, 0.0, 0.0, 0.0], (len(texel), 1)),
-        )
+    def samples(self, normals: np.ndarray, chosen: np.ndarray | None = None) -> SampleBuffer:
+        """Samples of the pixels (of the `chosen` ones, a mask [pixels]), each with its own texel of the albedo."""
+        mask = self.mask if chosen is None else self.image(chosen) != 0
+        normal_map = np.zeros((*mask.shape, 3))
+        normal_map[self.mask] = normals
+        view = Orthographic(pixel_size=1 / self.height)
+        return samples_from_maps(normal_map, view, depth=0.0, mask=mask, texel_per_pixel=True)
 
 
 def make_scene(cat: Cat, albedo: np.ndarray, lamps: list[nodes.Transform]) -> Scene:
@@ -93,12 +88,15 @@ def aimed_lamp(
     )
 
 
-@eqx.filter_jit
-def photographs_of(scene: Scene, samples: SampleBuffer) -> jax.Array:
-    """What the camera sees in the light of each lamp of the scene alone, [lamps, samples] (grey)."""
+def photographs_of(cat: Cat, scene: Scene, samples: SampleBuffer) -> np.ndarray:
+    """What the camera sees in the light of each lamp of the scene alone, [lamps, pixels] (grey)."""
+    return np.asarray(_one_lamp_at_a_time(scene, samples), float)[:, cat.mask]
 
+
+@eqx.filter_jit
+def _one_lamp_at_a_time(scene: Scene, samples: SampleBuffer) -> jax.Array:
     def photograph(intensity: jax.Array) -> jax.Array:
-        return shade(eqx.tree_at(lambda s: s.spot.intensity, scene, intensity), samples)[:, 0]
+        return render(eqx.tree_at(lambda s: s.spot.intensity, scene, intensity), samples)[..., 0]
 
     return jax.lax.map(photograph, jnp.diag(scene.spot.intensity))
 
@@ -116,5 +114,5 @@ def lights_at(cat: Cat, scene: Scene) -> np.ndarray:
     white = eqx.tree_at(lambda s: s.textures[0].image, matt(scene), replace_fn=jnp.ones_like)
     turns = np.arange(3) * 2 * np.pi / 3
     tilted = np.stack([np.cos(turns), np.sin(turns), np.ones(3)], axis=1) / np.sqrt(2)
-    received = np.stack([photographs_of(white, cat.samples(normal)) for normal in tilted], axis=-1)
-    return np.linalg.solve(tilted, received[..., None].astype(float))[..., 0]
+    received = np.stack([photographs_of(cat, white, cat.samples(normal)) for normal in tilted], axis=-1)
+    return np.linalg.solve(tilted, received[..., None])[..., 0]
