@@ -1,0 +1,116 @@
+"""The report page of a fit: what it shows is what was fitted."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import jaxlight as jl
+from jaxlight import nodes
+from jaxlight.fit import view_pictures
+
+SIZE = 16
+
+
+def make_scene(intensity: float = 1.0) -> jl.Scene:
+    """A ball and two lamps, one on either side."""
+    material = nodes.Material(name="<ball>", diffuse_color=(0.8, 0.5, 0.2))
+    return jl.Scene.from_nodes(
+        [
+            nodes.Viewpoint(position=(0, 0, 4)),
+            nodes.Shape(appearance=nodes.Appearance(material=material), geometry=nodes.Sphere()),
+            nodes.PointLight(name="left", location=(-3, 1, 3), intensity=intensity),
+            nodes.PointLight(name="right", location=(3, 1, 3), intensity=intensity),
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def fitted() -> tuple[jl.Fit, list[jl.View], jl.Scene]:
+    """Two pictures, each with one lamp, the second exposed twice as long, its upper half masked and spoilt."""
+    truth = make_scene(0.7)
+    samples = jl.rasterize(truth, None, SIZE, SIZE)
+    dark = jl.Scene.from_nodes([node for node in truth.document.children if getattr(node, "name", "") != "right"])
+    left = np.asarray(jl.render(dark, samples))
+    mask = np.zeros((SIZE, SIZE), bool)
+    mask[SIZE // 2 :] = True
+    right = np.where(mask[..., None], 2 * left[:, ::-1], 7.0)
+    views = [
+        jl.View(samples, left, lights=["PointLight[left]"], name="a"),
+        jl.View(samples, right, lights=["PointLight[right]"], mask=mask, exposure=2.0, name="b"),
+    ]
+    return jl.fit(make_scene(), views, "PointLight[*].intensity"), views, truth
+
+
+def test_models_show_each_view_with_its_own_lamp_and_exposure(fitted) -> None:
+    result, views, _ = fitted
+    np.testing.assert_allclose(result.values, 0.7, rtol=1e-5)
+    first, second = view_pictures(result, views)
+    assert (first.name, second.name) == ("View[a]", "View[b]")
+    for pictures in (first, second):
+        assert pictures.used.sum() > 20
+        np.testing.assert_allclose(pictures.model[pictures.used], pictures.target[pictures.used], atol=1e-5)
+    assert not second.used[: SIZE // 2].any() and first.used[: SIZE // 2].any()
+
+
+def test_a_target_in_sample_order_is_shown_where_it_belongs(fitted) -> None:
+    result, views, _ = fitted
+    rows = np.asarray(views[0].target).reshape(-1, 3)[np.asarray(views[0].samples.pixel)]
+    by_rows = jl.View(views[0].samples, rows, lights=views[0].lights, name="a")
+    shown = view_pictures(result, [by_rows, views[1]])[0]
+    np.testing.assert_allclose(shown.target[shown.used], np.asarray(views[0].target)[shown.used], atol=1e-6)
+
+
+def test_the_page_is_one_file_with_pictures_steps_and_numbers(fitted, tmp_path: Path) -> None:
+    result, views, _ = fitted
+    path = tmp_path / "report.html"
+    jl.write_report(path, result, views, title="A & B")
+    page = path.read_text()
+    images = [
+        np.asarray(Image.open(io.BytesIO(base64.b64decode(data)))) for data in re.findall(r"base64,([^\"]+)", page)
+    ]
+    assert [image.shape for image in images] == [(SIZE, SIZE, 3)] * 6
+    levels = np.rint(np.clip(np.asarray(views[0].target), 0, 1) * 255)
+    np.testing.assert_array_equal(images[0], levels)
+    assert "A &amp; B" in page and result.message in page
+    for label in result.labels:
+        assert label in page
+    assert not re.search(r"(src|href)=\"(?!data:)", page)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_linear_light_is_shown_as_srgb(fitted, tmp_path: Path) -> None:
+    result, views, _ = fitted
+    jl.write_report(tmp_path / "a.html", result, views, transfer="srgb")
+    data = re.search(r"base64,([^\"]+)", (tmp_path / "a.html").read_text())
+    assert data is not None
+    shown = np.asarray(Image.open(io.BytesIO(base64.b64decode(data[1]))), float) / 255
+    expected = np.clip(np.asarray(jl.encode(views[0].target, "srgb")), 0, 1)
+    np.testing.assert_allclose(shown, expected, atol=0.5001 / 255)
+
+
+def test_names_from_files_are_escaped(tmp_path: Path) -> None:
+    scene = make_scene()
+    samples = jl.rasterize(scene, None, SIZE, SIZE)
+    view = jl.View(samples, jl.render(scene, samples), name="<img src=x>")
+    result = jl.fit(scene, view, "Material[<ball>].diffuse_color")
+    jl.write_report(tmp_path / "a.html", result, view)
+    page = (tmp_path / "a.html").read_text()
+    assert "<img src=x>" not in page and "<ball>" not in page
+    assert "Material[&lt;ball&gt;].diffuse_color.r" in page
+
+
+def test_samples_without_pixels_have_no_pictures_but_a_report(tmp_path: Path) -> None:
+    scene = make_scene()
+    samples = jl.SampleBuffer.create(position=np.eye(3), normal=np.eye(3), eye=[0, 0, 4])
+    view = jl.View(samples, np.asarray(jl.shade(scene, samples))[:, :3])
+    result = jl.fit(scene, view, "PointLight[left].intensity")
+    assert view_pictures(result, view) == []
+    jl.write_report(tmp_path / "a.html", result, view)
+    assert "nothing to show" in (tmp_path / "a.html").read_text()
