@@ -17,7 +17,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..lighting.shade import Prepared, prepare, surface_runs, tile_color, tile_of
+from ..lighting.prepared import Prepared, prepare
+from ..lighting.tiles import surface_runs, tile_color, tile_of
 from .parameters import World
 from .problem import Problem, scene_of_view
 from .residuals import composited, half_loss, reweight, view_colors, weighted_difference

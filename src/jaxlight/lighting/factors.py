@@ -81,7 +81,8 @@ def _attenuation_jvp(primals, tangents):
     relative = factor * d
     slope = jnp.minimum(c2 + 2.0 * c3 * d, _HUGE[factor.dtype]) * factor
     change = (active * factor) * dc1 + (active * relative) * dc2
-    return factor, -(change + jnp.where(total >= 1, relative * relative, 0.0) * dc3 + (active * slope) * dd)
+    squared = jnp.where(total >= 1, jnp.minimum(relative * relative, _HUGE[factor.dtype]), 0.0)
+    return factor, -(change + squared * dc3 + (active * slope) * dd)
 
 
 # --- spot -------------------------------------------------------------------------------------------------------------
@@ -130,14 +131,25 @@ def _positive(x: Array) -> Array:
 # --- fog --------------------------------------------------------------------------------------------------------------
 
 
+@jax.custom_jvp
 def linear_fog(distance: Array, visibility: Array) -> tuple[Array, Array]:
     """f0 of table 17.5, LINEAR, and 1 - f0 to full accuracy; visibility <= 0 means no fog."""
-    present = visibility > 0
-    share = distance / jnp.where(present, visibility, 1.0)
-    within = share < 1
-    through = (jnp.where(present, visibility, 1.0) - distance) / jnp.where(present, visibility, 1.0)
-    clear = jnp.where(present, jnp.where(within, through, 0.0), 1.0)
-    return clear, jnp.where(present, jnp.where(within, share, 1.0), 0.0)
+    present, within, remaining = _fog_range(distance, visibility)
+    safe = jnp.where(within, visibility, 1.0)
+    clear = jnp.where(within, remaining / safe, 0.0)
+    fogged = jnp.where(within, distance / safe, 1.0)
+    return jnp.where(present, clear, 1.0), jnp.where(present, fogged, 0.0)
+
+
+@linear_fog.defjvp
+def _linear_fog_jvp(primals, tangents):
+    """df0 = ((d / V) dV - dd) / V: no square of V, which may be 1e-37 or 1e37."""
+    (distance, visibility), (d_distance, d_visibility) = primals, tangents
+    clear, fogged = linear_fog(distance, visibility)
+    _, within, _ = _fog_range(distance, visibility)
+    change = (jnp.where(within, fogged, 0.0) * d_visibility - d_distance) / jnp.where(within, visibility, 1.0)
+    change = jnp.where(within, change, 0.0)
+    return (clear, fogged), (change, -change)
 
 
 @jax.custom_jvp
@@ -151,9 +163,10 @@ def exponential_fog(distance: Array, visibility: Array) -> tuple[Array, Array]:
 
 
 def _fog_range(distance: Array, visibility: Array) -> tuple[Array, Array, Array]:
-    present = visibility > 0
-    within = present & (distance < visibility)
-    return present, within, jnp.where(within, visibility - distance, 1.0)
+    """Whether there is fog, whether the sample is nearer than the visibility, and how much (1 if it is not)."""
+    present, remaining = visibility > 0, visibility - distance
+    within = present & (remaining > 0)  # a difference that is flushed to zero is none
+    return present, within, jnp.where(within, remaining, 1.0)
 
 
 @exponential_fog.defjvp

@@ -13,9 +13,11 @@ import numpy as np
 
 from ..raster.samples import SampleBuffer
 from ..scene import DirectionalLights, PointLights, Scene, SpotLights
+from ..scene.scene import FrameKind
 from .options import LightingOptions
 
-Frame = Literal["identity", "similarity", "general"]
+MANY_LIGHTS = 32
+"""From so many lights of a kind on, each tile looks for those that reach it."""
 
 
 class LightPlan(NamedTuple):
@@ -25,12 +27,14 @@ class LightPlan(NamedTuple):
     """The rows that can contribute; None: all."""
     headlight: bool
     """Whether the last of these rows is the browser's headlight."""
-    frame: Frame
+    frame: FrameKind
     ambient: bool
     scoped: bool
     """Whether some of these lights do not reach some surface."""
     attenuation: Literal["linear", "quadratic"] | None
     radius: bool
+    culled: bool
+    """Whether each tile computes only the lights that may reach it."""
 
 
 class FogPlan(NamedTuple):
@@ -101,9 +105,7 @@ def make_plan(
     if scene.fog is not None:
         visibility = known(scene.fog.visibility_range)
         if visibility is None or visibility > 0:
-            to_local = known(scene.fog.to_local)
-            identity = to_local is not None and np.allclose(to_local.T @ to_local, np.eye(3), rtol=0, atol=1e-12)
-            fog = FogPlan(scene.fog.fog_type, identity)
+            fog = FogPlan(scene.fog.fog_type, scene.fog.frame == "identity")
     return Plan(
         options=options,
         directional=light_plan(scene.directional),
@@ -136,7 +138,7 @@ def _light_plan(
         keep &= color.any(axis=1)
     if intensity is not None and (not ambient or ambient_intensity is not None):
         keep &= (intensity != 0) | ((ambient_intensity != 0) if ambient else False)
-    frame = _frame(known(lights.to_world))
+    frame = lights.frame
     reaches_all = False
     if not directional:
         reach = _reach(lights, known, frame, bounds)
@@ -154,20 +156,8 @@ def _light_plan(
         scoped=not unscoped and not bool(scope[:, keep].all()),
         attenuation=attenuation,
         radius=not directional and not reaches_all,
+        culled=bool(keep.sum() >= MANY_LIGHTS) and (isinstance(lights, SpotLights) or not (directional or reaches_all)),
     )
-
-
-def _frame(to_world: np.ndarray | None) -> Frame:
-    """What the frames have in common: all the world's own, all similarities, or anything."""
-    if to_world is None:
-        return "general"
-    if np.array_equal(to_world, np.broadcast_to(np.eye(3, 4), to_world.shape)):
-        return "identity"
-    linear = to_world[:, :, :3].astype(np.float64)
-    gram = np.swapaxes(linear, 1, 2) @ linear
-    size = np.trace(gram, axis1=1, axis2=2)[:, None, None] / 3
-    tolerance = 64 * np.finfo(to_world.dtype).eps
-    return "similarity" if np.all(np.abs(gram - size * np.eye(3)) <= tolerance * size) else "general"
 
 
 def _attenuation(
@@ -192,7 +182,7 @@ def _bounds(known: _Known, samples: SampleBuffer) -> tuple[np.ndarray, np.ndarra
 
 
 def _reach(
-    lights: PointLights | SpotLights, known: _Known, frame: Frame, bounds: tuple[np.ndarray, np.ndarray] | None
+    lights: PointLights | SpotLights, known: _Known, frame: FrameKind, bounds: tuple[np.ndarray, np.ndarray] | None
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Per light: whether its radius reaches some sample, and whether it surely encloses all; None if not known."""
     place, radius, to_world = known(lights.location), known(lights.radius), known(lights.to_world)

@@ -7,6 +7,7 @@ them. Lights that are off never get here: the plan leaves them out, and their fi
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -19,7 +20,7 @@ from .vectors import Vector, transform, unit
 
 
 class WorldLights(eqx.Module):
-    """Lights of one kind in world space; planes of shape [lights, 1, lanes], to broadcast against samples [rows, lanes].
+    """Lights of one kind in world space; planes [lights, 1, lanes], to broadcast against samples [rows, lanes].
 
     Every lane holds the same numbers. Their derivatives then add up lane by lane, which the processor does at once,
     and the lanes are summed once at the end instead of in every tile.
@@ -48,6 +49,12 @@ class WorldLights(eqx.Module):
     def count(self) -> int:
         """How many lights."""
         return self.direct.shape[-1]
+
+    def with_planes(self, function: Callable[[Array], Array], colors: Callable[[Array], Array]) -> WorldLights:
+        """These lights with every plane, and every table of colours [3, lights], replaced by a function of it."""
+        planes = jax.tree.map(function, dataclasses.replace(self, direct=None, ambient=None))
+        ambient = None if self.ambient is None else colors(self.ambient)
+        return dataclasses.replace(planes, direct=colors(self.direct), ambient=ambient)
 
 
 class WorldFog(eqx.Module):
@@ -135,15 +142,17 @@ def on_lanes(value: Float[Array, "..."], lanes: int) -> Float[Array, "... 1 lane
 
 
 def in_chunks(lights: WorldLights, chunk: int) -> WorldLights:
-    """The lights in groups of `chunk`, every plane with a leading axis; the last group is filled up with black."""
-    count = lights.count
-    groups = -(-count // chunk)
-    row = jnp.minimum(jnp.arange(groups * chunk), count - 1).reshape(groups, chunk)
-    real = (jnp.arange(groups * chunk) < count).reshape(groups, chunk)
+    """The lights in groups of `chunk`, everything with a leading axis; the last group is filled up with black."""
+    missing = -lights.count % chunk
 
-    def colors(planes: Array) -> Array:
-        return jnp.where(real[:, None], jnp.moveaxis(planes[:, row], 1, 0), 0.0)
+    def rows(plane: Array) -> Array:
+        filled = (
+            jnp.concatenate([plane, jnp.broadcast_to(plane[-1:], (missing, *plane.shape[1:]))]) if missing else plane
+        )
+        return filled.reshape(-1, chunk, *plane.shape[1:])
 
-    chunked = jax.tree.map(lambda plane: plane[row], lights)
-    ambient = None if lights.ambient is None else colors(lights.ambient)
-    return dataclasses.replace(chunked, direct=colors(lights.direct), ambient=ambient)
+    def colors(table: Array) -> Array:
+        filled = jnp.pad(table, ((0, 0), (0, missing)))
+        return jnp.moveaxis(filled.reshape(3, -1, chunk), 1, 0)
+
+    return lights.with_planes(rows, colors)

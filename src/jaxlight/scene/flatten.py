@@ -13,7 +13,7 @@ from . import nodes
 from .document import Document, PlacedShape, PlacedViewpoint
 from .flags import Flags
 from .scene import DirectionalLights, Fog, Materials, PointLights, Scene, SpotLights, Surface, Texture
-from .transforms import IDENTITY, compose, transform_matrix
+from .transforms import IDENTITY, compose, frame_kind, transform_matrix
 
 MAX_DEPTH = 400
 MAX_PLACED = 1_000_000
@@ -177,6 +177,7 @@ class _Stack:
             "in_scope": Flags(np.stack([scope for _, _, scope in lights], axis=1)),
             "to_world": self.floats([to_world for _, to_world, _ in lights]),
             "names": tuple(light.name for light in rows),
+            "frame": frame_kind([to_world for _, to_world, _ in lights]),
         }
 
     def _to_local(self, lights: list[tuple[Any, np.ndarray, np.ndarray]]) -> Any:
@@ -211,4 +212,5 @@ class _Stack:
             to_local=self.floats(np.linalg.inv(to_world[:, :3])),
             fog_type=node.fog_type,  # type: ignore[arg-type]  # checked when the node was made
             name=node.name,
+            frame=frame_kind([to_world]),  # type: ignore[arg-type]  # one of the kinds
         )

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from .document import Document
 
 
+FrameKind = Literal["identity", "similarity", "general"]
+"""What is known of the frames of lights or fog: all the world's own, lengths scaled evenly, or nothing."""
+
+
 class Surface(NamedTuple):
     """How the samples of a kind of shape get their colour: one row of tables 17.2 / 17.3 (static)."""
 
@@ -55,6 +59,7 @@ class DirectionalLights(eqx.Module):
     on: Flags = eqx.field(static=True)
     in_scope: Flags = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
+    frame: FrameKind = eqx.field(static=True, default="general")
     headlight: bool = eqx.field(static=True, default=False)
     """True: the last row is the browser's headlight, whose frame is the camera of the samples."""
 
@@ -76,6 +81,7 @@ class PointLights(eqx.Module):
     on: Flags = eqx.field(static=True)
     in_scope: Flags = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
+    frame: FrameKind = eqx.field(static=True, default="general")
 
 
 class SpotLights(eqx.Module):
@@ -95,6 +101,7 @@ class SpotLights(eqx.Module):
     on: Flags = eqx.field(static=True)
     in_scope: Flags = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
+    frame: FrameKind = eqx.field(static=True, default="general")
 
 
 class Fog(eqx.Module):
@@ -105,6 +112,7 @@ class Fog(eqx.Module):
     to_local: Float[Array, "3 3"]
     fog_type: Literal["LINEAR", "EXPONENTIAL"] = eqx.field(static=True)
     name: str = eqx.field(static=True, default="")
+    frame: FrameKind = eqx.field(static=True, default="general")
 
 
 class Texture(eqx.Module):

@@ -52,3 +52,15 @@ def apply_to_normals(affine: np.ndarray, normals: np.ndarray) -> np.ndarray:
 def mirrors(affine: np.ndarray) -> bool:
     """True if the map turns left-handed into right-handed, and so reverses the winding of faces."""
     return float(np.linalg.det(affine[:, :3])) < 0.0
+
+
+def frame_kind(frames: list[np.ndarray]) -> str:
+    """What frames [3, 4] have in common: "identity" (all the world's own), "similarity" (even scale) or "general"."""
+    if all(np.array_equal(frame, IDENTITY) for frame in frames):
+        return "identity"
+    for frame in frames:
+        gram = frame[:, :3].T @ frame[:, :3]
+        size = np.trace(gram) / 3
+        if np.abs(gram - size * np.eye(3)).max() > 64 * np.finfo(np.float64).eps * size:
+            return "general"
+    return "similarity"

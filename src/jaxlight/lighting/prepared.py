@@ -1,0 +1,82 @@
+"""The part of the equation that is done once, not once a sample."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..raster.samples import SampleBuffer
+from ..scene import Materials, Scene, Surface
+from .plan import Plan
+from .surface import MaterialRow
+from .world import WorldFog, WorldLights, fog_in_world, lights_in_world, on_lanes
+
+LANES = 64
+"""Lanes on which samples, and copies of every number, are spread (see WorldLights)."""
+
+
+class Prepared(eqx.Module):
+    """What does not depend on the sample: materials and lights in world space, in the samples' float type."""
+
+    materials: Materials | None
+    directional: WorldLights | None
+    point: WorldLights | None
+    spot: WorldLights | None
+    scopes: tuple[Array | None, Array | None, Array | None]
+    """[surfaces, lights] of the kinds above; None: every light reaches every surface."""
+    fog: WorldFog | None
+    textures: tuple[Array, ...]
+    surfaces: tuple[Surface, ...] = eqx.field(static=True)
+
+
+def prepare(scene: Scene, samples: SampleBuffer, plan: Plan) -> Prepared:
+    """Materials, lights and fog as the tiles of these samples read them."""
+    dtype = compute_dtype(samples)
+    kinds = [(scene.directional, plan.directional), (scene.point, plan.point), (scene.spot, plan.spot)]
+    world: list[WorldLights | None] = []
+    scopes: list[Array | None] = []
+    for lights, light_plan in kinds:
+        if lights is None or light_plan is None:
+            world.append(None)
+            scopes.append(None)
+            continue
+        lanes = 1 if light_plan.culled else lanes_of(samples)
+        world.append(lights_in_world(lights, light_plan, dtype, samples.camera_to_world, lanes))
+        rows = slice(None) if light_plan.rows is None else np.asarray(light_plan.rows)
+        scopes.append(jnp.asarray(lights.in_scope.array[:, rows]) if light_plan.scoped else None)
+    return Prepared(
+        materials=None if scene.materials is None else jax.tree.map(lambda a: a.astype(dtype), scene.materials),
+        directional=world[0],
+        point=world[1],
+        spot=world[2],
+        scopes=tuple(scopes),  # type: ignore[arg-type]  # three of them
+        fog=None
+        if plan.fog is None or scene.fog is None
+        else fog_in_world(scene.fog, plan.fog, dtype, lanes_of(samples)),
+        textures=tuple(texture.image for texture in scene.textures),
+        surfaces=scene.surfaces,
+    )
+
+
+def compute_dtype(samples: SampleBuffer) -> jnp.dtype:
+    """float64 for float64 samples, float32 for all others: half precision is widened at the door."""
+    return jnp.promote_types(samples.position_planes.dtype, jnp.float32)
+
+
+def lanes_of(samples: SampleBuffer) -> int:
+    """Lanes of a tile: fewer than LANES for tiny tiles."""
+    return min(LANES, samples.tile)
+
+
+def material_row(prepared: Prepared, surface: Surface, row: Any, single: int | None, lanes: int) -> MaterialRow | None:
+    """The material of a surface row; a known row needs no lookup."""
+    if surface.material < 0 or prepared.materials is None:
+        return None
+    rows = np.array([other.material for other in prepared.surfaces])
+    material = rows[single] if single is not None else jnp.asarray(rows)[row]
+    return MaterialRow(*(on_lanes(getattr(prepared.materials, name)[material], lanes) for name in MaterialRow._fields))
