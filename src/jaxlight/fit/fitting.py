@@ -144,6 +144,8 @@ def fit(
     Raises:
         ValueError: a path, shape, bound or value that does not fit, found before anything is compiled.
     """
+    if starts < 1:
+        raise ValueError(f"starts: expected at least 1, got {starts}")
     problem, description = make_problem(scene, views, free, loss=loss, loss_scale=loss_scale, options=options)
     solver = make_solver(problem, rtol=rtol, atol=atol)
     if starts > 1:

@@ -6,6 +6,7 @@ import dataclasses
 import difflib
 import fnmatch
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -133,6 +134,7 @@ def free_parameters(
     for request in requests:
         chosen = _choose(world, request.where, view_names)
         rows = list(dict.fromkeys(one.path for one in chosen))
+        _check_lengths(request, chosen)
         if request.tied not in (True, False, "all"):
             raise ValueError(f"{rows[0]}: tied: expected True, False or 'all', got {request.tied!r}")
         if request.tied is True:
@@ -248,13 +250,19 @@ def _value(world: World, one: _Chosen) -> float:
     return value
 
 
-def _component(option: str, given: Any, one: _Chosen, component: int) -> float:
+def _check_lengths(request: Free, chosen: list[_Chosen]) -> None:
+    sizes = Counter(one.path for one in chosen)
+    for option in ("lower", "upper", "mean", "deviation"):
+        given = getattr(request, option)
+        length = 1 if given is None else np.size(given)
+        for path, size in sizes.items():
+            if length not in (1, size):
+                raise ValueError(f"{path}: {option}: expected one number or {size}, got {length}")
+
+
+def _component(given: Any, component: int) -> float:
     array = np.asarray(given, dtype=np.float64).reshape(-1)
-    if len(array) == 1:
-        return float(array[0])
-    if component >= len(array):
-        raise ValueError(f"{one.path}: {option}: expected one number or one a component, got {len(array)}")
-    return float(array[component])
+    return float(array[0 if len(array) == 1 else component])
 
 
 def _bounds(request: Free, one: _Chosen, component: int, value: float) -> tuple[float, float]:
@@ -263,9 +271,9 @@ def _bounds(request: Free, one: _Chosen, component: int, value: float) -> tuple[
     low = 1e-3 * min(1.0, abs(value)) if allowed.open_below else allowed.lower
     high = allowed.upper
     if request.lower is not None:
-        low = max(low, _component("lower", request.lower, one, component))
+        low = max(low, _component(request.lower, component))
     if request.upper is not None:
-        high = min(high, _component("upper", request.upper, one, component))
+        high = min(high, _component(request.upper, component))
     if allowed.open_below and value <= allowed.lower:
         raise ValueError(f"{one.label} starts at {value:g}, but must be in {allowed}")
     slack = 1e-6 * max(1.0, abs(value))
@@ -279,7 +287,7 @@ def _prior(request: Free, one: _Chosen, component: int, value: float) -> tuple[f
         if request.mean is not None:
             raise ValueError(f"{one.path}: a prior mean needs a deviation")
         return value, None
-    deviation = _component("deviation", request.deviation, one, component)
+    deviation = _component(request.deviation, component)
     if not deviation > 0:
         raise ValueError(f"{one.path}: deviation: expected a number > 0, got {deviation:g}")
-    return (value if request.mean is None else _component("mean", request.mean, one, component)), deviation
+    return (value if request.mean is None else _component(request.mean, component)), deviation
