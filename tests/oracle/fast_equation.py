@@ -159,7 +159,7 @@ def modified_power(tape: FastTape, i: int, base: Dual) -> Dual:
     positive = x > 0
     power = exp(exponent * log(base.map_value(np.where(positive, x, WIDE(1)))))
     power = tape.underflow(f"lights[{i}].power", power)
-    tape.decide("cone", x, base.gradient, where=(n <= 6) & (n != 1))
+    tape.decide("cone", x, base.gradient, where=n <= 6)
     straight = tape.decide("kink", x, base.gradient, name=f"lights[{i}].n_h", where=n == 1)
     beyond = select(n == 1, base, Dual(np.where(n == 0, WIDE(1), WIDE(0))))
     power = select(positive, power, beyond)

@@ -62,11 +62,14 @@ def normalised(v: Vector, inverse: Array) -> tuple[Vector, Array]:
 
 @normalised.defjvp
 def _normalised_jvp(primals, tangents):
-    """d|v| = u . dv;  du = (dv - u d|v|) / |v|. The change of `inverse` is part of that."""
+    """d|v| = u . dv;  du = dv / |v| - u (u . dv / |v|). The change of `inverse` is part of that.
+
+    Divided first, and so last in reverse mode: 1 / |v| may be 1e-37, and a product with it lost before the difference.
+    """
     (v, inverse), (dv, _) = primals, tangents
     u, length = normalised(v, inverse)
-    along = dot(u, dv)
-    return (u, length), ((dv - u.scaled(along)).scaled(inverse), along)
+    turned = dv.scaled(inverse)
+    return (u, length), (turned - u.scaled(dot(u, turned)), dot(u, dv))
 
 
 @jax.custom_jvp
