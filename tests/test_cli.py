@@ -257,6 +257,51 @@ def test_fit_finds_the_material_and_writes_everything(run, target: Path) -> None
     assert sorted(os.listdir("fitted")) == ["fit.json", "report.html", "scene.x3d", "view_0.png"]
 
 
+TWO_BALLS = """<X3D version="3.2"><Scene>
+  <NavigationInfo headlight="false"/>
+  <Viewpoint position="0 1.2 6" orientation="1 0 0 -0.2" fieldOfView="0.7"/>
+  <PointLight DEF="key" location="2 3 4" ambientIntensity="0.4"/>
+  <SpotLight DEF="rim" location="-3 3 2" direction="3 -3 -2" color="0.9 0.7 0.5" cutOffAngle="0.6" beamWidth="0.2"/>
+  <Transform translation="-1.1 0 0"><Shape><Appearance>
+    <Material DEF="a" diffuseColor="0.7 0.2 0.1" specularColor="0.4 0.5 0.3" shininess="0.3"/>
+  </Appearance><Sphere/></Shape></Transform>
+  <Transform translation="1.1 0 0.3"><Shape><Appearance>
+    <Material DEF="b" diffuseColor="0.2 0.5 0.6" specularColor="0.3 0.3 0.3" shininess="0.15" ambientIntensity="0.3"/>
+  </Appearance><Sphere/></Shape></Transform>
+</Scene></X3D>
+"""
+TWENTY_TWO_NUMBERS = {
+    "Material[a].diffuse_color": ("0.5", (0.7, 0.2, 0.1)),
+    "Material[a].specular_color": ("0.3", (0.4, 0.5, 0.3)),
+    "Material[a].shininess": ("0.2", (0.3,)),
+    "Material[b].diffuse_color": ("0.5", (0.2, 0.5, 0.6)),
+    "Material[b].shininess": ("0.2", (0.15,)),
+    "Material[b].ambient_intensity": ("0.5", (0.3,)),
+    "PointLight[key].location": ("1 4 3", (2.0, 3.0, 4.0)),
+    "SpotLight[rim].location": ("-2.6 3.2 2.4", (-3.0, 3.0, 2.0)),
+    "SpotLight[rim].color": ("0.7", (0.9, 0.7, 0.5)),
+    "SpotLight[rim].cut_off_angle": ("0.7", (0.6,)),
+}
+
+
+def test_fit_of_twelve_material_and_ten_light_numbers_to_512_by_512_pixels(run) -> None:
+    Path("balls.x3d").write_text(TWO_BALLS)
+    assert run("render", "balls.x3d", "--output", "balls.png", "--width", 512, "--height", 512).status == 0
+    start = [f"{path}={text}" for path, (text, _) in TWENTY_TWO_NUMBERS.items()]
+    result = run(
+        "fit", "balls.x3d", "balls.png", "--output", "fitted", "--free", *TWENTY_TWO_NUMBERS, "--start", *start
+    )
+    assert result.status == 0, result.out
+    numbers = json.loads(Path("fitted/fit.json").read_text())
+    assert numbers["cautions"] == []
+    fitted = [value["fitted"] for value in numbers["values"].values()]
+    truth = [number for _, values in TWENTY_TWO_NUMBERS.values() for number in values]
+    by_label = dict(zip(numbers["values"], fitted, strict=True))
+    assert len(fitted) == 22 and by_label["SpotLight[rim].cut_off_angle"] == pytest.approx(0.6, abs=1e-3)
+    # Rounded to 8 bits, the shades of one colour in the dark halves are all off by the same share of a level.
+    np.testing.assert_allclose(fitted, truth, atol=4e-3)
+
+
 def test_a_fit_that_does_not_converge_says_so_with_status_1(run, target: Path) -> None:
     result = run("fit", "scene.x3d", target, "--output", "fitted", *FREE, *START, "--max-steps", 1, "--quiet")
     assert result.status == 1
