@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,27 +27,43 @@ def map_values(what: str, value: Any) -> tuple[np.ndarray, Literal["vector", "co
         ValueError: not numbers, a file that cannot be read, an .npz without an array of that name.
     """
     if not isinstance(value, (str, Path)):
-        return _numbers(what, value), "vector"
+        try:
+            return _numbers(value), "vector"
+        except ValueError as error:
+            raise ValueError(f"samples_from_maps: {what}: {error}") from None
     path = Path(value)
     suffix = path.suffix.lower()
     if suffix not in _ARRAYS:
         image = read_image(path)
         return image, "vector" if suffix in _IMAGES_OF_NUMBERS else "color"
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise ValueError(f"{path}: larger than {MAX_BYTES >> 20} MiB, the most that is read")
-        content = np.load(path, allow_pickle=False)
-    except (OSError, EOFError, zipfile.BadZipFile) as error:
+        return _numbers(_stored(what, path)), "vector"
+    except (OSError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
         reason = getattr(error, "strerror", None) or f"not an array file: {error}"
         raise ValueError(f"samples_from_maps: {what}: {path}: {reason}") from None
-    if suffix == ".npy":
-        return _numbers(what, content), "vector"
+    except ValueError as error:
+        raise ValueError(f"samples_from_maps: {what}: {path}: {error}") from None
+
+
+def _stored(what: str, path: Path) -> np.ndarray:
+    """The array of an .npy, or the one of an .npz that is named `what` or stands alone."""
+    _check_size(path.stat().st_size)
+    content = np.load(path, allow_pickle=False)
+    if isinstance(content, np.ndarray):
+        return content
     with content:
         names = list(content.files)
         name = what if what in names else names[0] if len(names) == 1 else None
         if name is None:
-            raise ValueError(f"samples_from_maps: {what}: {path} holds {', '.join(names)}; none is named {what!r}")
-        return _numbers(what, content[name]), "vector"
+            raise ValueError(f"holds {', '.join(names)}; none is named {what!r}")
+        if content.zip is not None:
+            _check_size(sum(member.file_size for member in content.zip.infolist()))
+        return content[name]
+
+
+def _check_size(size: int) -> None:
+    if size > MAX_BYTES:
+        raise ValueError(f"holds {size >> 20} MiB; at most {MAX_BYTES >> 20} are read")
 
 
 def fitted(what: str, array: np.ndarray, height: int, width: int, channels: int | None) -> np.ndarray:
@@ -63,11 +80,11 @@ def fitted(what: str, array: np.ndarray, height: int, width: int, channels: int 
     return array
 
 
-def _numbers(what: str, value: Any) -> np.ndarray:
+def _numbers(value: Any) -> np.ndarray:
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "fiub":
             raise TypeError
         return array.astype(np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"samples_from_maps: {what}: expected numbers, got {value!r:.60}") from None
+        raise ValueError(f"expected numbers, got {value!r:.60}") from None

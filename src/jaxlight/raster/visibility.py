@@ -249,7 +249,8 @@ def _may_touch(prepared: Prepared, boxes: _Boxes, offset: tuple[float, float], f
         possible &= largest >= 0
         total += np.maximum(largest, 0.0)
     # The sum of the largest volumes bounds the largest sum, and so the least depth from below.
-    return possible & (prepared.volume[boxes.row] / total * (1 - _SLACK) <= farthest)
+    with np.errstate(over="ignore"):
+        return possible & (prepared.volume[boxes.row] / total * (1 - _SLACK) <= farthest)
 
 
 def _volume(edge: np.ndarray, row: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -1,0 +1,210 @@
+"""Samples from maps agree with rasterised ones; encodings, frames, masks, files, errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxlight import Camera, Orthographic, SampleBuffer, Scene, nodes, rasterize, samples_from_maps
+
+WIDTH, HEIGHT = 41, 33
+CAMERA = Camera.look_at((1.0, 2.0, 8.0), (0, 0, 0), field_of_view=0.5)
+SCENE = Scene.from_nodes([nodes.Shape(geometry=nodes.Sphere(radius=1.5))])
+
+
+@pytest.fixture(autouse=True)
+def float64():
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture
+def seen() -> SampleBuffer:
+    return rasterize(SCENE, CAMERA, WIDTH, HEIGHT)
+
+
+def picture(samples: SampleBuffer, values: np.ndarray) -> np.ndarray:
+    """[height, width, ...] with NaN where nothing is seen."""
+    image = np.full((HEIGHT * WIDTH, *values.shape[1:]), np.nan)
+    image[np.asarray(samples.pixel)] = values
+    return image.reshape(HEIGHT, WIDTH, *values.shape[1:])
+
+
+def assert_same(found: SampleBuffer, expected: SampleBuffer) -> None:
+    np.testing.assert_array_equal(np.asarray(found.pixel), np.asarray(expected.pixel))
+    np.testing.assert_allclose(np.asarray(found.position), np.asarray(expected.position), atol=1e-12)
+    unit = [
+        np.asarray(s.normal) / np.linalg.norm(np.asarray(s.normal), axis=1, keepdims=True) for s in (found, expected)
+    ]
+    np.testing.assert_allclose(*unit, atol=1e-12)
+    np.testing.assert_array_equal(np.asarray(found.eye), np.asarray(expected.eye))
+    np.testing.assert_array_equal(np.asarray(found.camera_to_world), np.asarray(expected.camera_to_world))
+
+
+def test_positions_and_normals_of_the_world(seen: SampleBuffer) -> None:
+    normal, position = picture(seen, np.asarray(seen.normal)), picture(seen, np.asarray(seen.position))
+    assert_same(samples_from_maps(normal, CAMERA, position=position, normal_frame="world"), seen)
+
+
+@pytest.mark.parametrize("kind", ["z", "distance"])
+def test_depth_and_normals_of_the_camera(seen: SampleBuffer, kind: str) -> None:
+    away = np.asarray(seen.position) - CAMERA.position
+    depth = -(away @ CAMERA.rotation)[:, 2] if kind == "z" else np.linalg.norm(away, axis=1)
+    found = samples_from_maps(
+        picture(seen, np.asarray(seen.normal) @ CAMERA.rotation),
+        CAMERA,
+        depth=picture(seen, depth),
+        depth_kind=kind,  # type: ignore[arg-type]
+    )
+    assert_same(found, seen)
+    in_camera = samples_from_maps(
+        picture(seen, np.asarray(seen.normal) @ CAMERA.rotation),
+        CAMERA,
+        position=picture(seen, away @ CAMERA.rotation),
+        position_frame="camera",
+    )
+    assert_same(in_camera, seen)
+
+
+def test_intrinsics_of_a_photograph(seen: SampleBuffer) -> None:
+    """A depth map of a calibrated camera: x = (u - cx) z / fx, y = (v - cy) z / fy in OpenCV's axes."""
+    depth = np.random.default_rng(0).uniform(1, 2, (HEIGHT, WIDTH))
+    camera = Camera.from_intrinsics(fx=50, fy=60, cx=20.3, cy=15.1)
+    found = samples_from_maps(np.tile([0.0, 0, 1], (HEIGHT, WIDTH, 1)), camera, depth=depth)
+    row, column = np.divmod(np.asarray(found.pixel), WIDTH)
+    z = depth[row, column]
+    expected = np.stack([(column - 20.3) * z / 50, (row - 15.1) * z / 60, z], axis=1)
+    np.testing.assert_allclose(np.asarray(found.position), expected, atol=1e-12)
+    # The camera's own z axis points at the viewer, which is backwards in OpenCV's axes.
+    np.testing.assert_allclose(np.asarray(found.normal)[0], (0, 0, -1), atol=1e-15)
+
+
+def test_files_hold_the_same_maps(seen: SampleBuffer, tmp_path: Path) -> None:
+    normal, position = picture(seen, np.asarray(seen.normal)), picture(seen, np.asarray(seen.position))
+    np.savez(tmp_path / "maps.npz", normal=normal, position=position)
+    np.save(tmp_path / "normal.npy", normal)
+    np.savez(tmp_path / "single.npz", anything=position)
+    mask = np.isfinite(normal[..., 0])
+    Image.fromarray((255 * mask).astype(np.uint8)).save(tmp_path / "mask.png")
+    for normals, positions in (("maps.npz", "maps.npz"), ("normal.npy", "single.npz")):
+        found = samples_from_maps(
+            tmp_path / normals,
+            CAMERA,
+            position=str(tmp_path / positions),
+            mask=tmp_path / "mask.png",
+            normal_frame="world",
+        )
+        assert_same(found, seen)
+
+
+def test_colour_images_hold_normals_as_two_c_minus_one(seen: SampleBuffer, tmp_path: Path) -> None:
+    normal = np.asarray(seen.normal) @ CAMERA.rotation
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    coded = np.nan_to_num(picture(seen, (normal * [1, -1, 1] + 1) / 2), nan=0.5)
+    Image.fromarray(np.round(255 * coded).astype(np.uint8)).save(tmp_path / "normals.png")
+    mask = np.isfinite(picture(seen, normal)[..., 0])
+    found = samples_from_maps(tmp_path / "normals.png", CAMERA, depth=1.0, mask=mask, normal_y_down=True)
+    expected = normal @ CAMERA.rotation.T
+    # Half a step of 1 / 255 in c is one in n, in each of three components.
+    assert np.linalg.norm(np.asarray(found.normal) - expected, axis=1).max() <= 3**0.5 / 255
+    as_array = samples_from_maps(coded, CAMERA, depth=1.0, mask=mask, normal_encoding="color", normal_y_down=True)
+    np.testing.assert_allclose(np.asarray(as_array.normal), expected, atol=1e-12)
+
+
+def test_without_a_mask_what_is_not_finite_or_zero_is_left_out() -> None:
+    normal = np.tile([0.0, 0, 1], (4, 5, 1))
+    normal[0, 0], normal[1, 1, 2], depth = 0, np.nan, np.ones((4, 5))
+    depth[2, 2], depth[3, 3], depth[3, 4] = np.inf, 0, -1
+    found = samples_from_maps(normal, CAMERA, depth=depth)
+    assert set(range(20)) - set(np.asarray(found.pixel).tolist()) == {0, 6, 12, 18, 19}
+
+
+def test_orthographic_views() -> None:
+    turn = Camera.look_at((3, 1, 2), (0, 0, 0)).rotation
+    view = Orthographic(pixel_size=0.5, center=(1.0, 2.0, 3.0), rotation=turn)
+    found = samples_from_maps(np.tile([0.0, 0, 1], (4, 6, 1)), view, depth=2.0)
+    position, (row, column) = np.asarray(found.position), np.divmod(np.asarray(found.pixel), 6)
+    expected = np.stack([(column - 2.5) / 2, (1.5 - row) / 2, np.full(24, -2.0)], axis=1) @ turn.T + [1, 2, 3]
+    np.testing.assert_allclose(position, expected, atol=1e-12)
+    to_viewer = np.asarray(found.eye) - position
+    to_viewer /= np.linalg.norm(to_viewer, axis=1, keepdims=True)
+    np.testing.assert_allclose(to_viewer, np.tile(turn[:, 2], (24, 1)), atol=1e-6)
+    assert found.pixel_to_world is None
+
+
+def test_every_pixel_can_have_its_own_texel() -> None:
+    albedo = np.random.default_rng(1).uniform(size=(3, 4, 3))
+    found = samples_from_maps(np.tile([0.0, 0, 1], (3, 4, 1)), CAMERA, depth=1.0, texel_per_pixel=True)
+    assert found.texel_index is not None and found.texel_weight is not None
+    index = np.asarray(found.in_sample_order(found.texel_index))
+    weight = np.asarray(found.in_sample_order(found.texel_weight))
+    texture = albedo[::-1].reshape(-1, 3)  # row 0 of a texture is its bottom
+    np.testing.assert_array_equal(
+        np.einsum("kn,knc->nc", weight, texture[index]), albedo.reshape(-1, 3)[np.asarray(found.pixel)]
+    )
+
+
+def test_colours_and_surfaces_by_pixel() -> None:
+    color, surface = np.random.default_rng(1).uniform(size=(3, 4, 4)), np.arange(12).reshape(3, 4) % 3
+    found = samples_from_maps(np.tile([0.0, 0, 1], (3, 4, 1)), CAMERA, depth=1.0, color=color, surface=surface)
+    pixel = np.asarray(found.pixel)
+    np.testing.assert_array_equal(np.asarray(found.color), color.reshape(-1, 4)[pixel])
+    np.testing.assert_array_equal(np.asarray(found.surface), surface.ravel()[pixel])
+
+
+NORMAL = np.tile([0.0, 0, 1], (3, 4, 1))
+HOLE = NORMAL.copy()
+HOLE[1, 2] = np.nan
+
+
+@pytest.mark.parametrize(
+    ("normal", "arguments", "message"),
+    [
+        (NORMAL, {}, "either position or depth"),
+        (NORMAL, {"depth": 1.0, "position": NORMAL}, "either position or depth"),
+        (NORMAL[..., :2], {"depth": 1.0}, r"normal: expected \[height, width, 3\], got \[3, 4, 2\]"),
+        (NORMAL, {"depth": np.ones((4, 3))}, r"depth: expected shape \[3, 4\], got \[4, 3\]"),
+        (NORMAL, {"position": np.ones((3, 4, 2))}, r"position: expected shape \[3, 4, 3\]"),
+        (NORMAL, {"depth": 1.0, "mask": np.ones((3, 3))}, r"mask: expected shape \[3, 4\]"),
+        (HOLE, {"depth": 1.0, "mask": np.ones((3, 4))}, "1 pixels inside the mask .* the first at row 1, column 2"),
+        (NORMAL, {"depth": 0.0}, "no pixel shows a surface"),
+        (NORMAL, {"depth": 1.0, "normal_frame": "view"}, "normal_frame: expected 'camera' or 'world', got 'view'"),
+        (NORMAL, {"depth": 1.0, "normal_encoding": "rgb"}, "normal_encoding: expected 'vector' or 'color'"),
+        (NORMAL, {"depth": 1.0, "surface": np.zeros((3, 3), int)}, "surface: expected"),
+        (NORMAL, {"depth": "nowhere.npy"}, "depth: nowhere.npy: No such file"),
+        ("nowhere.png", {"depth": 1.0}, "no such file"),
+        ("words", {"depth": 1.0}, "no such file"),
+        (object(), {"depth": 1.0}, "normal: expected numbers"),
+    ],
+)
+def test_errors_name_the_map(normal: object, arguments: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        samples_from_maps(normal, CAMERA, **arguments)
+
+
+def test_errors_of_views_and_files(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="view: expected a Camera or an Orthographic view"):
+        samples_from_maps(NORMAL, "front", depth=1.0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="pixel_size: expected a finite number > 0"):
+        Orthographic(pixel_size=0)
+    np.savez(tmp_path / "two.npz", a=NORMAL, b=NORMAL)
+    with pytest.raises(ValueError, match=r"two\.npz: holds a, b; none is named 'normal'"):
+        samples_from_maps(tmp_path / "two.npz", CAMERA, depth=1.0)
+    np.save(tmp_path / "objects.npy", np.array([{}], dtype=object), allow_pickle=True)
+    with pytest.raises(ValueError, match=r"normal: .*objects\.npy: Object arrays cannot be loaded"):
+        samples_from_maps(tmp_path / "objects.npy", CAMERA, depth=1.0)
+    (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 nothing")
+    with pytest.raises(ValueError, match=r"broken\.npz: not an array file"):
+        samples_from_maps(tmp_path / "broken.npz", CAMERA, depth=1.0)
+
+
+def test_an_archive_that_would_unpack_to_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    np.savez_compressed(tmp_path / "bomb.npz", normal=np.zeros((1000, 1000, 3)))
+    monkeypatch.setattr("jaxlight.raster.map_values.MAX_BYTES", 4 << 20)
+    assert (tmp_path / "bomb.npz").stat().st_size < 1 << 20
+    with pytest.raises(ValueError, match="holds 22 MiB; at most 4 are read"):
+        samples_from_maps(tmp_path / "bomb.npz", CAMERA, depth=1.0)

@@ -1,0 +1,137 @@
+"""First hits of primary rays: against brute force, watertight, exact at ties, whatever way the work is cut up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from jaxlight.raster import Camera, visibility
+from jaxlight.raster.visibility import Prepared, barycentric, first_hits, prepare
+from raster_oracle import first_hits as cast
+from raster_oracle import margin
+
+EYE = np.zeros(3)
+
+
+def seen(
+    triangles: np.ndarray, width: int, height: int, *, camera: Camera | None = None, cull: bool = False
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """[height * width]: triangle (-1: none), depth, and the rays [height * width, 3] in world space."""
+    camera = camera or Camera(EYE, np.eye(3), 1.2)
+    to_camera = (triangles - camera.position) @ camera.rotation
+    corners = np.ascontiguousarray(np.moveaxis(to_camera, 0, 2))
+    prepared = Prepared.front_to_back(
+        [prepare(corners, camera.pixel_to_camera(width, height), width, height, cull=cull)]
+    )
+    pixel, row = first_hits(prepared, width, height)
+    which, depth = np.full(width * height, -1), np.full(width * height, np.inf)
+    which[pixel] = prepared.number[row]
+    weight = barycentric(prepared, row, pixel % width + 0.5, pixel // width + 0.5)
+    depth[pixel] = -np.einsum("nc,nc->n", weight, to_camera[which[pixel]][..., 2])
+    return which, depth, camera.rays(width, height).direction
+
+
+def soup(seed: int, count: int, size: float) -> np.ndarray:
+    """Random triangles in front of, around and behind the eye."""
+    random = np.random.default_rng(seed)
+    middle = random.uniform((-3, -3, -6), (3, 3, 1), (count, 3))
+    return middle[:, None] + random.normal(0, size, (count, 3, 3))
+
+
+@pytest.mark.parametrize("size", [0.05, 0.5, 4.0])
+@pytest.mark.parametrize("shape", [(37, 29), (1, 1), (150, 3), (97, 201)])
+def test_agrees_with_brute_force(size: float, shape: tuple[int, int]) -> None:
+    """Also with triangles that reach behind the eye, and with ones larger than the picture."""
+    width, height = shape
+    triangles = soup(int(100 * size) + width, 60, size)
+    which, depth, rays = seen(triangles, width, height)
+    expected, along = cast(EYE, rays, triangles)
+    clear = margin(EYE, rays, triangles) > 1e-9
+    assert clear.mean() > 0.99
+    np.testing.assert_array_equal(which[clear], expected[clear])
+    hit = clear & (which >= 0)
+    np.testing.assert_allclose(depth[hit], along[hit], rtol=1e-10)
+
+
+def test_back_faces_are_left_out_on_request() -> None:
+    triangles = soup(3, 80, 0.7)
+    which, _, rays = seen(triangles, 60, 50, cull=True)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    is_front = np.einsum("ij,ij->i", normals, triangles[:, 0]) < 0
+    expected, _ = cast(EYE, rays, triangles[is_front])
+    expected = np.where(expected >= 0, np.flatnonzero(is_front)[expected], -1)
+    clear = margin(EYE, rays, triangles) > 1e-9
+    np.testing.assert_array_equal(which[clear], expected[clear])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_ray_slips_out_of_a_closed_mesh(seed: int) -> None:
+    """From inside, every ray meets the mesh, whether it passes through corners and edges or not."""
+    random = np.random.default_rng(seed)
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    triangles = mesh.vertices[mesh.faces] * 10.0 ** random.uniform(-6, 6)
+    turn = trimesh.transformations.random_rotation_matrix(random.uniform(size=3))[:3, :3]
+    which, _, _ = seen(triangles, 131, 77, camera=Camera(triangles.mean(axis=(0, 1)), turn, 2.0))
+    assert np.all(which >= 0)
+
+
+def test_rays_through_shared_corners_and_edges_meet_exactly_one_side() -> None:
+    """A grid of squares whose corners and diagonals lie exactly on rays: no holes, and the smaller number counts."""
+    x = np.arange(-8.0, 9.0)
+    points = np.stack(np.meshgrid(x, x, [-16.0], indexing="ij"), axis=-1)[:, :, 0]
+    a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
+    triangles = np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)], axis=2).reshape(-1, 3, 3)
+    # 16 pixels for 16 units at distance 16: the rays through pixel centres meet the diagonals' middles.
+    camera = Camera.from_intrinsics(fx=16, fy=16, cx=8, cy=8, pixel_center=0.5)
+    facing = Camera(camera.position, np.eye(3), None, camera.intrinsics)
+    which, depth, _ = seen(triangles, 16, 16, camera=facing)
+    np.testing.assert_array_equal(np.sort(which), np.arange(0, 512, 2))
+    np.testing.assert_allclose(depth, 16, rtol=1e-15)
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_of_coincident_triangles_the_first_counts(reverse: bool) -> None:
+    square = np.array([[[-9, -9, -5], [9, -9, -5], [9, 9, -5]], [[-9, -9, -5], [9, 9, -5], [-9, 9, -5]]], dtype=float)
+    twice = np.concatenate([square, square[::-1] if reverse else square])
+    which, _, _ = seen(twice, 40, 30)
+    assert set(which.tolist()) == {0, 1}
+
+
+@pytest.mark.parametrize("chunk", [64, 5000])
+@pytest.mark.parametrize(("small", "block"), [(2, 8), (16, 64), (200, 256)])
+def test_how_the_work_is_cut_up_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch, chunk: int, small: int, block: int
+) -> None:
+    triangles = np.concatenate([soup(11, 300, 0.1), soup(12, 30, 2.0), soup(13, 20, (3, 3, 1e-4))])
+    expected = seen(triangles, 90, 70)
+    for name, value in (("_CHUNK", chunk), ("_SMALL", small), ("_BLOCK", block)):
+        monkeypatch.setattr(visibility, name, value)
+    found = seen(triangles, 90, 70)
+    np.testing.assert_array_equal(found[0], expected[0])
+    np.testing.assert_array_equal(found[1], expected[1])
+
+
+def test_a_triangle_seen_edge_on_is_not_seen() -> None:
+    edge_on = np.array([[[0.0, -1, -2], [0, 1, -3], [0, 1, -9]]])
+    assert np.all(seen(edge_on, 9, 9)[0] == -1)
+    behind = np.array([[[-1.0, -1, 2], [1, -1, 2], [0, 1, 2]]])
+    assert np.all(seen(behind, 9, 9)[0] == -1)
+
+
+def test_agrees_with_embree_but_for_its_single_precision() -> None:
+    """Where the two disagree, the ray passes within single precision of an edge."""
+    scenes = pytest.importorskip("embreex.rtcore_scene")
+    meshes = pytest.importorskip("embreex.mesh_construction")
+    mesh = trimesh.creation.icosphere(subdivisions=5)
+    points = mesh.vertices * (1 + 0.1 * np.sin(7 * mesh.vertices[:, :1]))
+    camera = Camera.look_at((0.2, 0.4, 2.5), (0, 0, 0), field_of_view=0.8)
+    which, _, rays = seen(points[mesh.faces], 301, 203, camera=camera)
+    scene = scenes.EmbreeScene()
+    meshes.TriangleMesh(scene, (points - camera.position).astype(np.float32), mesh.faces.astype(np.int32))
+    theirs = scene.run(np.zeros(rays.shape, np.float32), rays.astype(np.float32))
+    differ = np.flatnonzero(which != theirs)
+    assert len(differ) < 1e-3 * len(rays)
+    assert (which >= 0).mean() > 0.3
+    if len(differ):
+        assert margin(camera.position, rays[differ], points[mesh.faces]).max() < 1e-6
