@@ -131,17 +131,17 @@ def _samples(cases: Sequence[Case], stack: Any) -> SampleBuffer:
     first = samples[0]
     count = len(cases)
     template = SampleBuffer.create(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(3), tile=1)
-    position = stack([[[x] for x in sample.position] for sample in samples])
+    position = stack([[[[x] for x in sample.position]] for sample in samples])
     integers = jnp.zeros((count, 4, 1), dtype=jnp.int32)
     changes = {
         "position_planes": position,
-        "normal_planes": stack([[[x] for x in sample.normal] for sample in samples]),
+        "normal_planes": stack([[[[x] for x in sample.normal]] for sample in samples]),
         "eye": stack([sample.eye for sample in samples]),
-        "color_planes": None if first.color is None else stack([[[x] for x in sample.color] for sample in samples]),
+        "color_planes": None if first.color is None else stack([[[[x] for x in sample.color]] for sample in samples]),
         "texel_index": None if first.texel is None else integers,
         "texel_weight": None if first.texel is None else stack([[[1.0], [0.0], [0.0], [0.0]]] * count),
         "tile_surface": jnp.zeros((count, 1), dtype=jnp.int32),
-        "tile_low": position,
-        "tile_high": position,
+        "tile_low": position[:, 0],
+        "tile_high": position[:, 0],
     }
     return dataclasses.replace(template, **changes)

@@ -96,7 +96,7 @@ class JaxlightShade(Contender):
         self._kind = work.kind
         self._names = list(arrays.parameters)
         # Targets in storage order; padding weighs nothing.
-        slots = self._samples.position_planes.shape[1]
+        slots = self._samples.slots
         slot = np.arange(work.samples) if self._samples.slot is None else np.asarray(self._samples.slot)
         target, weight = np.zeros((3, slots), np.float32), np.zeros(slots, np.float32)
         target[:, slot], weight[slot] = arrays.target, 1
@@ -107,9 +107,12 @@ class JaxlightShade(Contender):
         wanted = operation == "value_and_gradient"
         plan = make_plan(self._scene, self._samples, self._options, free=True if wanted or not self._skip else ())
         if not wanted:
-            shade = jax.jit(lambda scene, samples: shade_planes(scene, samples, plan=plan))
-            compiled = shade.lower(self._scene, self._samples).compile()
-            return lambda: jax.block_until_ready(compiled(self._scene, self._samples))
+            # Called as a user does, outside jit: the library compiles for itself, here.
+            def run() -> Any:
+                return jax.block_until_ready(shade_planes(self._scene, self._samples, plan=plan))
+
+            run()
+            return run
 
         free, fixed = eqx.partition(self._scene, eqx.is_inexact_array)
 

@@ -166,7 +166,7 @@ class _Layout:
 
     @classmethod
     def of(cls, label: str, samples: SampleBuffer) -> _Layout:
-        slots = samples.position_planes.shape[1]
+        slots = samples.slots
         source = np.zeros(slots, dtype=np.int64)
         is_padding = np.ones(slots, dtype=bool)
         slot = np.arange(samples.count) if samples.slot is None else np.asarray(samples.slot)

@@ -60,7 +60,7 @@ def resolve(values: Any, samples: SampleBuffer) -> Float[Array, "height width ch
     if values.ndim not in (1, 2) or values.shape[0] != samples.count:
         raise ValueError(f"resolve: expected values of shape [{samples.count}, channels], got {list(values.shape)}")
     planes = jnp.atleast_2d(values.T)
-    slots = samples.position_planes.shape[1]
+    slots = samples.slots
     place = jnp.arange(samples.count) if samples.slot is None else samples.slot
     stored = jnp.zeros((planes.shape[0], slots), planes.dtype).at[:, place].set(planes)
     picture = _resolved(stored, samples)

@@ -12,8 +12,8 @@ from ..raster.samples import SampleBuffer
 from ..scene import Scene
 from .options import LightingOptions
 from .plan import Plan, make_plan
-from .prepared import prepare
-from .tiles import map_tiles, surface_runs
+from .prepared import compute_dtype, prepare
+from .tiles import colors_of_run, surface_runs
 
 
 def shade(
@@ -33,33 +33,40 @@ def shade(
     Raises:
         ValueError: samples that name a surface the scene lacks, or lack a colour or texels that it asks for.
     """
-    return samples.in_sample_order(shade_planes(scene, samples, options, plan=plan)).T
+    return samples.rows_in_sample_order(shade_tiles(scene, samples, options, plan=plan))
 
 
 def shade_planes(
     scene: Scene, samples: SampleBuffer, options: LightingOptions | None = None, *, plan: Plan | None = None
 ) -> Float[Array, "4 slots"]:
     """`shade` in storage order: planes red, green, blue, alpha, one column a slot of the buffer, padding included."""
+    tiles = shade_tiles(scene, samples, options, plan=plan)
+    return jnp.swapaxes(tiles, 0, 1).reshape(4, -1)
+
+
+def shade_tiles(
+    scene: Scene, samples: SampleBuffer, options: LightingOptions | None = None, *, plan: Plan | None = None
+) -> Float[Array, "tiles 4 tile"]:
+    """`shade` as it is computed, tile by tile, padding included: the quickest form, for hot loops."""
     check_samples(scene, samples)
     if plan is None:
         plan = make_plan(scene, samples, options)
-    compiled = _shade_planes_wide if _runs_alone_on_cpu(scene, samples) else _shade_planes
+    compiled = _shade_tiles_wide if _runs_alone_on_cpu(scene, samples) else _shade_tiles
     return compiled(_without_document(scene), samples, plan)
 
 
-def _planes_of(scene: Scene, samples: SampleBuffer, plan: Plan) -> Array:
+def _tiles_of(scene: Scene, samples: SampleBuffer, plan: Plan) -> Array:
     prepared = prepare(scene, samples, plan)
-    parts = [
-        map_tiles(run, prepared, samples, plan, lambda color: jnp.concatenate([color.rgb, color.alpha[None]]))
-        for run in surface_runs(scene.surfaces, samples)
-    ]
-    return jnp.concatenate(parts, axis=1) if len(parts) != 1 else parts[0]
+    parts = [colors_of_run(run, prepared, samples, plan) for run in surface_runs(scene.surfaces, samples)]
+    if not parts:
+        return jnp.zeros((0, 4, samples.tile), compute_dtype(samples))
+    return jnp.concatenate(parts) if len(parts) > 1 else parts[0]
 
 
-_shade_planes = jax.jit(_planes_of, static_argnames="plan")
+_shade_tiles = jax.jit(_tiles_of, static_argnames="plan")
 # Twice as fast where the processor has 512-bit registers, which XLA otherwise leaves half empty; JAX takes such
 # options only where no other transformation is at work.
-_shade_planes_wide = jax.jit(_planes_of, static_argnames="plan", compiler_options={"xla_cpu_prefer_vector_width": 512})
+_shade_tiles_wide = jax.jit(_tiles_of, static_argnames="plan", compiler_options={"xla_cpu_prefer_vector_width": 512})
 
 
 def _runs_alone_on_cpu(scene: Scene, samples: SampleBuffer) -> bool:

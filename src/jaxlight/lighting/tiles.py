@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from ..raster.samples import SampleBuffer
 from ..scene import Surface
@@ -64,30 +64,18 @@ def _alike(a: Surface, b: Surface) -> bool:
     return a._replace(material=min(a.material, 0)) == b._replace(material=min(b.material, 0))
 
 
-def map_tiles(
-    run: Run,
-    prepared: Prepared,
-    samples: SampleBuffer,
-    plan: Plan,
-    function: Callable[..., Any],
-    *planes: Array,
-) -> Any:
-    """function(color, *tiles of planes) for every tile of a run, the results side by side: [..., slots of the run].
-
-    `planes`: further arrays [..., slots], whose tiles go to `function`.
-    """
-    tile = samples.tile
+def colors_of_run(run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan) -> Float[Array, "tiles 4 tile"]:
+    """Red, green, blue and alpha of the tiles of a run."""
 
     @jax.checkpoint
-    def body(index: Array, prepared: Prepared, samples: SampleBuffer, planes: tuple[Array, ...]) -> Any:
+    def body(index: Array, prepared: Prepared, samples: SampleBuffer) -> Array:
         color = tile_color(run, prepared, samples, plan, index)
-        return function(color, *(tile_of(plane, index, tile) for plane in planes))
+        return jnp.concatenate([color.rgb, color.alpha[None]])
 
-    def step(_: None, index: Array) -> tuple[None, Any]:
-        return None, body(index, prepared, samples, planes)
+    def step(_: None, index: Array) -> tuple[None, Array]:
+        return None, body(index, prepared, samples)
 
-    _, results = lax.scan(step, None, jnp.arange(run.start, run.stop))
-    return jax.tree.map(lambda a: jnp.moveaxis(a, 0, -2).reshape(*a.shape[1:-1], -1), results)
+    return lax.scan(step, None, jnp.arange(run.start, run.stop))[1]
 
 
 def tile_of(plane: Array, index: Array, tile: int) -> Array:
@@ -100,18 +88,22 @@ def tile_color(run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, 
     dtype, tile, lanes = compute_dtype(samples), samples.tile, lanes_of(samples)
     stage = Stage(index >= 0 if run.stop - run.start > 1 else samples.tile_surface[0] >= 0)
 
-    def cut(plane: Array, kind: jnp.dtype = dtype) -> Array:
-        """The tile's part of a plane, [..., rows, lanes]."""
-        return stage(lambda: tile_of(plane, index, tile).astype(kind).reshape(*plane.shape[:-1], -1, lanes))
+    def of_tile(planes: Array) -> Array:
+        """The tile's planes [components, rows, lanes]."""
+        return stage(lambda: planes[index].astype(dtype).reshape(planes.shape[1], -1, lanes))
 
-    position = Vector(*cut(samples.position_planes))
-    normal = Vector(*cut(samples.normal_planes))
+    def cut(planes: Array, kind: jnp.dtype = dtype) -> Array:
+        """The tile's part of planes [components, slots], [components, rows, lanes]."""
+        return stage(lambda: tile_of(planes, index, tile).astype(kind).reshape(planes.shape[0], -1, lanes))
+
+    position = Vector(*of_tile(samples.position_planes))
+    normal = Vector(*of_tile(samples.normal_planes))
     surface = run.surface
     row = samples.tile_surface[index] if run.single is None else run.single
     material = material_row(prepared, surface, row, run.single, lanes)
     vertex_color = texel = None
     if surface.color_components:
-        vertex_color = cut(samples.color_planes)
+        vertex_color = of_tile(samples.color_planes)
     if surface.texture >= 0 and surface.lighting != "emissive":
         weight = cut(samples.texel_weight)
         texel = sampled_texture(

@@ -1,7 +1,7 @@
 """The sample buffer: what the lighting equation needs to know of every visible surface point, background left out.
 
-Rows ([N, 3]) are how people read it; planes ([3, slots]), padded and grouped into tiles of one surface each, are how it
-is stored, because the equation is evaluated tile by tile. The layout changes once, here.
+Rows ([N, 3]) are how people read it; planes ([tiles, 3, tile]), padded and grouped into tiles of one surface each, are
+how it is stored, because the equation is evaluated tile by tile. The layout changes once, here.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ class SampleBuffer(eqx.Module):
     Build it with `SampleBuffer.create`, `rasterize` or `samples_from_maps`. World space, the units of the scene.
     """
 
-    position_planes: Float[Array, "3 slots"]
-    normal_planes: Float[Array, "3 slots"]
+    position_planes: Float[Array, "tiles 3 tile"]
+    normal_planes: Float[Array, "tiles 3 tile"]
     eye: Float[Array, "3"]
     """The viewer's position."""
     camera_to_world: Float[Array, "3 3"] | None
@@ -32,7 +32,7 @@ class SampleBuffer(eqx.Module):
     pixel_to_world: Float[Array, "3 3"] | None
     """(u, v, 1) in pixels, (0, 0) the outer corner of the top left one, to the direction of its ray in world axes; what
     is behind the geometry is seen along it."""
-    color_planes: Float[Array, "components slots"] | None
+    color_planes: Float[Array, "tiles components tile"] | None
     """Interpolated per-vertex or per-face colour (RGB or RGBA), or None."""
     texel_index: Int[Array, "4 slots"] | None
     """The four texels (row * width + column) around each sample in its surface's texture, or None."""
@@ -117,7 +117,11 @@ class SampleBuffer(eqx.Module):
         layout = _layout(surface, tile)
 
         def planes(values: np.ndarray | None) -> Any:
-            return None if values is None else jnp.asarray(np.ascontiguousarray(values[layout.source].T), dtype=dtype)
+            """[N, components] -> [tiles, components, tile]"""
+            if values is None:
+                return None
+            tiled = values[layout.source].reshape(-1, layout.tile, values.shape[1])
+            return jnp.asarray(np.ascontiguousarray(tiled.swapaxes(1, 2)), dtype=dtype)
 
         def slots(values: np.ndarray | None, padding: float) -> Any:
             return None if values is None else np.where(layout.is_padding, padding, values[layout.source])
@@ -134,7 +138,9 @@ class SampleBuffer(eqx.Module):
             pixel_to_world=None if pixel_to_world is None else jnp.asarray(pixel_to_world, dtype=dtype),
             color_planes=planes(color),
             texel_index=None if index is None else jnp.asarray(index, dtype=jnp.int32),
-            texel_weight=planes(texel_weight),
+            texel_weight=None
+            if texel_weight is None
+            else jnp.asarray(np.ascontiguousarray(texel_weight[layout.source].T), dtype=dtype),
             pixel_slots=None if pixels is None else jnp.asarray(pixels, dtype=jnp.int32),
             coverage_slots=None if share is None else jnp.asarray(share, dtype=dtype),
             slot=None if layout.slot is None else jnp.asarray(layout.slot, dtype=jnp.int32),
@@ -152,20 +158,30 @@ class SampleBuffer(eqx.Module):
         """[..., slots] -> [..., N]: padding dropped, samples in the order in which they were given."""
         return slots[..., : self.count] if self.slot is None else jnp.take(slots, self.slot, axis=-1)
 
+    def rows_in_sample_order(self, planes: Array) -> Array:
+        """[tiles, components, tile] -> [N, components]: padding dropped, samples in the order given."""
+        rows = jnp.swapaxes(planes, 1, 2).reshape(-1, planes.shape[1])
+        return rows[: self.count] if self.slot is None else jnp.take(rows, self.slot, axis=0)
+
+    @property
+    def slots(self) -> int:
+        """Places in storage: samples and padding."""
+        return self.tile_surface.shape[-1] * self.tile
+
     @property
     def position(self) -> Float[Array, "samples 3"]:
         """Positions in world space."""
-        return self.in_sample_order(self.position_planes).T
+        return self.rows_in_sample_order(self.position_planes)
 
     @property
     def normal(self) -> Float[Array, "samples 3"]:
         """Normals in world space, as given (any length)."""
-        return self.in_sample_order(self.normal_planes).T
+        return self.rows_in_sample_order(self.normal_planes)
 
     @property
     def color(self) -> Float[Array, "samples components"] | None:
         """Interpolated vertex colours, RGB or RGBA, or None."""
-        return None if self.color_planes is None else self.in_sample_order(self.color_planes).T
+        return None if self.color_planes is None else self.rows_in_sample_order(self.color_planes)
 
     @property
     def surface(self) -> Int[Array, " samples"]:
