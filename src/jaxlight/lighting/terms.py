@@ -96,8 +96,16 @@ def _light_vector(stage: Stage, lights: WorldLights, tile: Geometry) -> tuple[Ca
     if lights.place is None:
         return lambda: lights.towards, None  # type: ignore[return-value]  # directional lights have it
 
+    place = lights.place
+    # Kept, so that the derivatives by the places are summed over samples once, not in every stage.
+    kept = Vector(
+        stage(lambda: place.x - tile.position.x),
+        stage(lambda: place.y - tile.position.y),
+        stage(lambda: place.z - tile.position.z),
+    )
+
     def offset() -> Vector:
-        return lights.place - tile.position
+        return kept
 
     inverse = lax.cond(
         _squares_in_range(lights.place, tile),
