@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,9 @@ from .tessellate import SEGMENTS, segments_for, tessellate
 from .texels import bilinear_texels
 from .triangles import Triangles
 from .visibility import Prepared, prepare
+
+_CHUNK = 1 << 15
+"""Samples whose attributes are worked out at a time."""
 
 
 class Attributes(NamedTuple):
@@ -86,45 +90,60 @@ class PlacedTriangles:
 
         The normals of back faces are turned round.
         """
-        scene = self.scene
-        components = max((surface.color_components for surface in scene.surfaces), default=0)
-        count = len(number)
-        position, normal = np.empty((count, 3)), np.empty((count, 3))
-        color = np.ones((count, components)) if components else None
-        has_texture = any(surface.texture >= 0 for surface in scene.surfaces)
-        texel_index = np.zeros((count, 4), dtype=np.int64) if has_texture else None
-        texel_weight = np.zeros((count, 4)) if has_texture else None
+        found = self._blank(len(number))
+        for which, here in self._by_shape(number):
+            self._fill(found, which, here, number[here] - self.first[which], weight[here], eye)
+        found.normal[is_back] *= -1.0
+        return found
+
+    def _blank(self, count: int) -> Attributes:
+        surfaces = self.scene.surfaces
+        components = max((surface.color_components for surface in surfaces), default=0)
+        has_texture = any(surface.texture >= 0 for surface in surfaces)
+        return Attributes(
+            position=np.empty((count, 3)),
+            normal=np.empty((count, 3)),
+            color=np.ones((count, components)) if components else None,
+            texel_index=np.zeros((count, 4), dtype=np.int64) if has_texture else None,
+            texel_weight=np.zeros((count, 4)) if has_texture else None,
+        )
+
+    def _by_shape(self, number: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Shapes and samples that lie on them, at most _CHUNK at a time so that the work stays in cache."""
         shape = np.searchsorted(self.first, number, side="right") - 1
-        by_shape = np.argsort(shape, kind="stable")
-        hit, starts = np.unique(shape[by_shape], return_index=True)
-        for which, start, stop in zip(hit, starts, [*starts[1:], count], strict=False):
-            here = by_shape[start:stop]
-            placed, triangles = scene.document.shapes[which], self.triangles[which]
-            row = number[here] - self.first[which]
-            at = weight[here, ::-1] if mirrors(placed.to_world) else weight[here]
-            local = _interpolated(at, triangles.position, row)
-            position[here] = apply_to_points(placed.to_world, local)
-            normal[here] = apply_to_normals(placed.to_world, _interpolated(at, triangles.normal, row))
-            if triangles.quadric is not None and triangles.curved is not None:
-                curved = here[triangles.curved[row]]
-                position[curved], normal[curved] = onto_quadric(
-                    triangles.quadric, placed.to_world, eye, position[curved]
-                )
-            if color is not None and triangles.color is not None:
-                color[here, : triangles.color.shape[2]] = _interpolated(at, triangles.color, row)
-            texture = scene.surfaces[placed.surface].texture
-            if texel_index is not None and texel_weight is not None and texture >= 0:
-                node = scene.document.textures[texture]
-                assert node.image is not None  # a texture without an image is no texture of the scene
-                texel_index[here], texel_weight[here] = bilinear_texels(
-                    _interpolated(at, triangles.texcoord, row),
-                    node.image.shape[1],
-                    node.image.shape[0],
-                    repeat_s=node.repeat_s,
-                    repeat_t=node.repeat_t,
-                )
-        normal[is_back] *= -1.0
-        return Attributes(position, normal, color, texel_index, texel_weight)
+        order = np.argsort(shape, kind="stable")
+        hit, starts = np.unique(shape[order], return_index=True)
+        for which, start, stop in zip(hit.tolist(), starts, [*starts[1:], len(number)], strict=False):
+            for low in range(start, stop, _CHUNK):
+                yield which, order[low : min(low + _CHUNK, stop)]
+
+    def _fill(
+        self, found: Attributes, which: int, here: np.ndarray, row: np.ndarray, weight: np.ndarray, eye: np.ndarray
+    ) -> None:
+        """Samples `here`, all on shape `which`, in its triangles `row`."""
+        placed, triangles = self.scene.document.shapes[which], self.triangles[which]
+        to_world = placed.to_world
+        weight = weight[:, ::-1] if mirrors(to_world) else weight
+        found.position[here] = apply_to_points(to_world, _interpolated(weight, triangles.position, row))
+        found.normal[here] = apply_to_normals(to_world, _interpolated(weight, triangles.normal, row))
+        if triangles.quadric is not None and triangles.curved is not None:
+            curved = here[triangles.curved[row]]
+            found.position[curved], found.normal[curved] = onto_quadric(
+                triangles.quadric, to_world, eye, found.position[curved]
+            )
+        if found.color is not None and triangles.color is not None:
+            found.color[here, : triangles.color.shape[2]] = _interpolated(weight, triangles.color, row)
+        texture = self.scene.surfaces[placed.surface].texture
+        if texture >= 0 and found.texel_index is not None and found.texel_weight is not None:
+            node = self.scene.document.textures[texture]
+            assert node.image is not None  # a texture without an image is no texture of the scene
+            found.texel_index[here], found.texel_weight[here] = bilinear_texels(
+                _interpolated(weight, triangles.texcoord, row),
+                node.image.shape[1],
+                node.image.shape[0],
+                repeat_s=node.repeat_s,
+                repeat_t=node.repeat_t,
+            )
 
 
 def _segments(placed: PlacedShape, camera: Camera, width: int, height: int) -> int:
@@ -144,7 +163,10 @@ def _segments(placed: PlacedShape, camera: Camera, width: int, height: int) -> i
 
 def _interpolated(weight: np.ndarray, values: np.ndarray, row: np.ndarray) -> np.ndarray:
     """[N, k], corner values [T, 3, k] of triangles `row` weighted by [N, 3]."""
-    return sum((weight[:, corner, None] * values[row, corner] for corner in range(3)), np.zeros(1))
+    total = weight[:, :1] * values[row, 0]
+    total += weight[:, 1:2] * values[row, 1]
+    total += weight[:, 2:] * values[row, 2]
+    return total
 
 
 def _row_times(row: np.ndarray, points: np.ndarray) -> np.ndarray:
