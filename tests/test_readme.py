@@ -96,3 +96,9 @@ def test_the_readings_name_code_that_exists() -> None:
     for path, name in references:
         folder = ROOT if path.startswith("tests/") else ROOT / "src" / "jaxlight"
         assert re.search(rf"^(def|class) {name}\b", (folder / path).read_text(), re.M), f"{path}::{name}"
+
+
+def test_the_recipes_and_notebooks_are_all_listed() -> None:
+    listed = set(re.findall(r"^\| `((?:fitting|notebooks)/\w+\.py)` \|", README, re.M))
+    there = [*ROOT.glob("fitting/[0-9]*.py"), *ROOT.glob("notebooks/*.py")]
+    assert listed == {path.relative_to(ROOT).as_posix() for path in there}
