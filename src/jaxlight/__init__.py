@@ -32,10 +32,8 @@ if TYPE_CHECKING:
     from .lighting import shade as shade
     from .raster import Camera as Camera
     from .raster import Orthographic as Orthographic
-    from .raster import Orthographic as Orthographic
     from .raster import SampleBuffer as SampleBuffer
     from .raster import rasterize as rasterize
-    from .raster import samples_from_maps as samples_from_maps
     from .raster import samples_from_maps as samples_from_maps
     from .scene import DirectionalLights as DirectionalLights
     from .scene import Fog as Fog
