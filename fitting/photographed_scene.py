@@ -47,7 +47,7 @@ class Cat:
         return samples_from_maps(normal_map, view, depth=0.0, mask=mask, texel_per_pixel=True)
 
 
-def make_scene(cat: Cat, albedo: np.ndarray, lamps: list[nodes.Transform]) -> Scene:
+def make_scene(cat: Cat, albedo: np.ndarray, lamps: list[nodes.Node]) -> Scene:
     """The lamps and a card the size of the photograph, with the albedo as its texture."""
     x, y = cat.width / cat.height / 2, 0.5
     card = nodes.IndexedFaceSet(

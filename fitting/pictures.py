@@ -21,21 +21,22 @@ def save_grid(path: Path, rows: Sequence[Mapping[str, np.ndarray]]) -> None:
     height, width = next(iter(rows[0].values())).shape[:2]
     columns = max(len(row) for row in rows)
     sheet = Image.new("RGB", (columns * width, len(rows) * (height + CAPTION)), "white")
-    draw = ImageDraw.Draw(sheet)
     for y, row in enumerate(rows):
         for x, (caption, picture) in enumerate(row.items()):
             corner = (x * width, y * (height + CAPTION))
             levels = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
             sheet.paste(Image.fromarray(levels).convert("RGB"), (corner[0], corner[1] + CAPTION))
-            draw.text((corner[0] + 4, corner[1] + 3), caption, fill="black")
+            label = Image.new("RGB", (width, CAPTION), "white")
+            ImageDraw.Draw(label).text((4, 3), caption, fill="black")
+            sheet.paste(label, corner)
     sheet.save(path)
 
 
 def signed(difference: np.ndarray, full: float) -> np.ndarray:
-    """A difference as colours: white where 0, orange where -`full` or less, blue where `full` or more; [..., 3]."""
+    """A difference as colours: white where 0, blue where -`full` or less, red where `full` or more; [..., 3]."""
     amount = np.clip(difference / full, -1, 1)[..., None]
-    blue, orange = np.array([0.0, 0.4, 1.0]), np.array([1.0, 0.4, 0.0])
-    return 1 - np.maximum(amount, 0) * (1 - blue) - np.maximum(-amount, 0) * (1 - orange)
+    red, blue = np.array([0.8, 0.1, 0.1]), np.array([0.1, 0.2, 0.8])
+    return 1 - np.maximum(amount, 0) * (1 - red) - np.maximum(-amount, 0) * (1 - blue)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
