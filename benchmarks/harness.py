@@ -27,6 +27,9 @@ from .workload import Workload, make_arrays
 _ROOT = Path(__file__).parent.parent
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "TORCH_NUM_THREADS")
 _REFERENCE_LIMIT = 2**27
+"""Samples times lights of a reference answer; beyond it, only some samples are checked, and no gradient."""
+_EXTENDED_COST = 16
+"""How much slower NumPy is in extended precision."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,7 +163,7 @@ def measure(
     """
     measurements = [Measurement(case) for case in cases]
     with contextlib.ExitStack() as stack:
-        references = _References(Path(stack.enter_context(tempfile.TemporaryDirectory())))
+        references = _References(cases, Path(stack.enter_context(tempfile.TemporaryDirectory())))
         workers = _start(measurements, plan, stack)
         for measurement in _alive(measurements):
             case = measurement.case
@@ -235,8 +238,11 @@ def _summarise(measurement: Measurement, times: list[tuple[float, float]], cores
 class _References:
     """Reference answers of the workloads of a run, each computed once and handed over as a file."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, cases: Sequence[Case], folder: Path) -> None:
         self._folder = folder
+        self._differentiated = {
+            case.work for case in cases if case.operation in ("value_and_gradient", "normal_equations")
+        }
         self._paths: dict[tuple[Workload, Any], Path] = {}
 
     def path(self, case: Case) -> str:
@@ -244,8 +250,10 @@ class _References:
         dtype = np.longdouble if options.get("precision") == "float64" else np.float64
         key = (case.work, dtype)
         if key not in self._paths:
-            stride = -(-case.work.light_samples * (16 if dtype is np.longdouble else 1) // _REFERENCE_LIMIT)
+            cost = case.work.samples * (case.work.lights if not case.work.cover else 4 * case.work.cover)
+            stride = math.ceil(cost * (_EXTENDED_COST if dtype is np.longdouble else 1) / _REFERENCE_LIMIT)
             path = self._folder / f"{len(self._paths)}.npz"
-            answer(case.work, make_arrays(case.work), dtype=dtype, stride=stride).save(path)
+            gradient = case.work in self._differentiated
+            answer(case.work, make_arrays(case.work), dtype=dtype, stride=stride, gradient=gradient).save(path)
             self._paths[key] = path
         return str(self._paths[key])

@@ -119,7 +119,7 @@ def _row(m: Measurement, own: float | None) -> list[object]:
         m.nanoseconds,
         own and m.nanoseconds / own,
         f"{m.spread:.0%}",
-        m.compile_seconds,
+        m.compile_seconds if m.compile_seconds > 1e-2 else None,
         m.first_seconds,
         error.get("largest"),
         error.get("root_mean_square"),

@@ -56,6 +56,7 @@ def peers(path: Path, measurements: Sequence[Measurement]) -> None:
             axis.bar(places, list(own.values()), 1 / (len(labels) + 1), label=label)
         axis.set_xticks([i + 0.4 for i in range(len(lights))], [f"{count} lights" for count in lights])
         axis.set_yscale("log")
+        axis.set_ylim(bottom=min(m.nanoseconds for m in group) / 2)
         axis.set_ylabel("ns per sample and light")
         axis.set_title(f"{operation.replace('_', ' ')}, {'a colour a sample' if sample_color else 'one material'}")
     (axes[0] if len(kinds) > 1 else axes).legend(fontsize="small")

@@ -15,6 +15,8 @@ from .workload import Arrays, Fields, Workload
 
 _CHUNK = 65536
 """Samples times lights that are worked on at once."""
+_NEIGHBOURS = 1024
+"""Samples at once where most lights reach none of them."""
 
 
 class Answer(NamedTuple):
@@ -69,12 +71,12 @@ def answer(
     total = {name: np.zeros(np.shape(v), dtype) for name, v in arrays.parameters.items()} if gradient else {}
     colors = np.empty(arrays.position.shape, dtype)
     at_jump = np.zeros(arrays.position.shape[1], bool)
-    step = max(_CHUNK // work.lights, 64)
+    step = max(_CHUNK // work.lights, 64) if not work.cover else _NEIGHBOURS
     for start in range(0, arrays.position.shape[1], step):
         rows = slice(start, start + step)
         chunk = _Chunk(arrays, rows, material, work, dtype)
-        rows_on = np.flatnonzero(arrays.on).tolist()
-        terms = {i: _term(chunk, {k: v[i] for k, v in lights.items()}) for i in rows_on}
+        reaching = np.flatnonzero(arrays.on & _may_reach(lights, chunk.position)).tolist()
+        terms = {i: _term(chunk, {k: v[i] for k, v in lights.items()}) for i in reaching}
         colors[:, rows] = chunk.fogged(sum((chunk.light_color(term) for term in terms.values()), chunk.emissive))
         for term in terms.values():
             at_jump[rows] |= term.at_jump
@@ -83,6 +85,16 @@ def answer(
             _add_gradient(total, chunk, terms, 2 * chunk.visible * residual)
     value = float(np.sum((colors - arrays.target) ** 2))
     return Answer(colors, at_jump, value, {name: np.asarray(total[name], np.float64) for name in total}, stride)
+
+
+def _may_reach(lights: Fields, position: np.ndarray) -> np.ndarray:
+    """[L]: False for lights whose radius ends before the box around these samples: all their terms are exactly 0."""
+    if "radius" not in lights:
+        return np.ones(len(lights["intensity"]), bool)
+    low, high = position.min(axis=1), position.max(axis=1)
+    place = lights["location"]
+    gap = np.maximum(np.maximum(low - place, place - high), 0)
+    return np.sqrt(np.sum(gap**2, axis=1)) <= lights["radius"] * (1 + 1e-4)
 
 
 class _Chunk:
@@ -123,7 +135,7 @@ class _Term(NamedTuple):
     """One light on a chunk; the letters are the equation's."""
 
     light: Fields
-    l: np.ndarray  # noqa: E741
+    l: np.ndarray
     distance: np.ndarray
     reach: np.ndarray
     """1 within the radius, else 0."""
@@ -145,11 +157,11 @@ def _term(chunk: _Chunk, light: Fields) -> _Term:
     ones = np.ones_like(chunk.visible)
     distance, reach, attenuation, spot, angle, at_jump = ones, ones, ones, ones, 0 * ones, np.zeros(ones.shape, bool)
     if chunk.work.kind == "directional":
-        l = -_unit(light["direction"][:, None]) * ones  # noqa: E741
+        l = -_unit(light["direction"][:, None]) * ones
     else:
         to_light = light["location"][:, None] - chunk.position
         distance = np.sqrt(np.sum(to_light**2, axis=0))
-        l = to_light / distance  # noqa: E741
+        l = to_light / distance
         reach = np.where(distance <= light["radius"], ones, 0)
         at_jump = np.abs(distance / light["radius"] - 1) < 1e-6
         c1, c2, c3 = light["attenuation"]

@@ -56,8 +56,10 @@ class Cases:
             elif operation == "forward":
                 colors = contender.colors(result)[:, :: expected.stride]
                 errors = color_errors(colors, expected, colors.dtype.type, self.entrant.color_limit)
-            else:
+            elif expected.gradient:
                 errors = gradient_errors(*contender.value_and_gradient(result), expected)
+            else:
+                return answer
             answer["error"] = dataclasses.asdict(errors)
         return answer
 

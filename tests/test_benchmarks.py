@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benchmarks import gate, memory, yardstick
+from benchmarks import reference as reference_module
 from benchmarks.entrants import PEERS, Entrant
 from benchmarks.errors import color_errors, gradient_errors
 from benchmarks.fits import ENTRANTS as FITS
@@ -58,6 +59,17 @@ def test_reference_of_every_third_sample_is_every_third_of_the_whole() -> None:
 def test_lights_that_are_off_add_nothing() -> None:
     off, half = (dataclasses.replace(SMALL, lights=count, dark=dark) for count, dark in ((2, "off"), (1, "none")))
     assert np.array_equal(answer(off, make_arrays(off)).colors, answer(half, make_arrays(half)).colors)
+
+
+def test_the_reference_leaves_out_only_lights_that_add_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    work = Workload(samples=2500, lights=60, cover=4, blocks=True)
+    arrays = make_arrays(work)
+    culled = answer(work, arrays)
+    monkeypatch.setattr(reference_module, "_may_reach", lambda lights, position: np.ones(60, bool))
+    whole = answer(work, arrays)
+    assert np.array_equal(culled.colors, whole.colors)
+    for name, expected in whole.gradient.items():
+        np.testing.assert_allclose(culled.gradient[name], expected, rtol=1e-13)
 
 
 @pytest.mark.parametrize("entrant", PEERS, ids=lambda entrant: entrant.label)

@@ -42,7 +42,7 @@ def shade(parameters: Any, scene: Any) -> Array3f:
         squared = dr.squared_norm(to_light)
         inverse = dr.rsqrt(squared)
         distance = squared * inverse
-        l = to_light * inverse  # noqa: E741
+        l = to_light * inverse
         half = l + view
         n_l = dr.maximum(dr.dot(normal, l), 0)
         n_h = dr.maximum(dr.dot(normal, half) * dr.rsqrt(dr.squared_norm(half)), 1e-30)

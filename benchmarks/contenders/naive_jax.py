@@ -16,7 +16,7 @@ def light_contribution(light: Any, material: Any, diffuse: Any, position: Any, n
     """[3]: what one point light adds to one sample before fog."""
     to_light = light["location"] - position
     distance = jnp.linalg.norm(to_light)
-    l = to_light / distance  # noqa: E741
+    l = to_light / distance
     half = (l + view) / jnp.linalg.norm(l + view)
     c1, c2, c3 = light["attenuation"]
     attenuation = 1 / jnp.maximum(c1 + c2 * distance + c3 * distance**2, 1)

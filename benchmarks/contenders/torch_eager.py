@@ -24,7 +24,7 @@ def shade(parameters: Any, scene: Any) -> torch.Tensor:
     to_light = [lights["location"][:, i, None] - scene["position"][i] for i in range(3)]
     squared = to_light[0] ** 2 + to_light[1] ** 2 + to_light[2] ** 2
     distance = torch.sqrt(squared)
-    l = [x / distance for x in to_light]  # noqa: E741
+    l = [x / distance for x in to_light]
     half = [l[i] + view[i] for i in range(3)]
     n_l = normal[0] * l[0] + normal[1] * l[1] + normal[2] * l[2]
     n_half = normal[0] * half[0] + normal[1] * half[1] + normal[2] * half[2]
