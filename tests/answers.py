@@ -154,7 +154,7 @@ def by_path(derivatives: tuple[Scene, SampleBuffer], group: Group, scene: Scene)
             case ("sample", "texel", k):
                 return of_scene.textures[0].image[..., 0, 0, k]
             case ("sample", name, k):
-                return getattr(of_samples, f"{name}_planes")[..., k, 0]
+                return getattr(of_samples, f"{name}_planes").reshape(count, 4, -1)[..., k]
         raise ValueError(f"path {path}: unknown")
 
     return np.stack([column(path) for path in group.paths], axis=1)

@@ -2,8 +2,8 @@
 
 Inputs: a number moves to its two neighbours in the format; a zero (and an infinity) stays; a subnormal number may
 also become zero, because processors may flush it. Outputs: one ulp is the distance from the float nearest to the
-exact value to the next larger one; below the smallest normal number it is that number, so that a flushed result is
-less than one ulp off. Values beyond the largest finite number have no ulp; what is left to ask is finiteness.
+exact value to the next larger one, and never less than the smallest normal number: a factor or a term below that may
+be flushed to zero on the way, so that a flushed result is less than one ulp off. Values beyond the largest finite number have no ulp; what is left to ask is finiteness.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def output_ulp(exact: Any, precision: int) -> np.ndarray:
         nearest = np.abs(np.asarray(exact, dtype=np.longdouble)).astype(kind)
     finite = np.isfinite(nearest)
     spacing = np.spacing(np.where(finite, nearest, kind(1)))
-    spacing = np.where(nearest < np.finfo(kind).tiny, np.finfo(kind).tiny, spacing)
+    spacing = np.maximum(spacing, np.finfo(kind).tiny)
     return np.where(finite, spacing.astype(np.longdouble), np.inf)
 
 

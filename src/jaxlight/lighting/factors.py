@@ -45,15 +45,20 @@ def log_cosine(n: Vector, h: Vector, inverse: Array) -> Array:
 
 @log_cosine.defjvp
 def _log_cosine_jvp(primals, tangents):
-    """d ln(n . h / |h|) = (n / (n . H) - H) . dh / |h| + H . dn / (n . H). The change of `inverse` is part of that."""
+    """d ln(n . h / |h|) = (n - H (n . H)) . dh / (|h| n . H) + H . dn / (n . H). The change of `inverse` is part of that.
+
+    n - H (n . H) is taken as D - H (D . H) with D = n - H: near the peak rounded lengths of n and H would otherwise leave
+    a part along H, as large as the angle between them.
+    """
     (n, h, inverse), (dn, dh, _) = primals, tangents
     value = log_cosine(n, h, inverse)
     towards = h.scaled(inverse)
+    difference = n - towards
     cosine = dot(n, towards)
     faces = cosine > 0
     secant = jnp.where(faces, 1.0 / jnp.maximum(jnp.where(faces, cosine, 1.0), _TINY[value.dtype]), 0.0)
-    slope = (n.scaled(secant) - towards.scaled(jnp.where(faces, 1.0, 0.0))).scaled(inverse)
-    return value, dot(slope, dh) + dot(towards.scaled(secant), dn)
+    across = difference - towards.scaled(dot(difference, towards))
+    return value, dot(across.scaled(secant * inverse), dh) + dot(towards.scaled(secant), dn)
 
 
 def highlight(log_cosine: Array, exponent: Array) -> Array:

@@ -62,14 +62,14 @@ def normalised(v: Vector, inverse: Array) -> tuple[Vector, Array]:
 
 @normalised.defjvp
 def _normalised_jvp(primals, tangents):
-    """d|v| = u . dv;  du = dv / |v| - u (u . dv / |v|). The change of `inverse` is part of that.
+    """d|v| = u . dv;  du = u x (dv / |v| x u). The change of `inverse` is part of that.
 
     Divided first, and so last in reverse mode: 1 / |v| may be 1e-37, and a product with it lost before the difference.
+    With cross products, because dv - u (u . dv) has no digits left along an axis that u almost points along.
     """
     (v, inverse), (dv, _) = primals, tangents
     u, length = normalised(v, inverse)
-    turned = dv.scaled(inverse)
-    return (u, length), (turned - u.scaled(dot(u, turned)), dot(u, dv))
+    return (u, length), (cross(u, cross(dv.scaled(inverse), u)), dot(u, dv))
 
 
 @jax.custom_jvp
