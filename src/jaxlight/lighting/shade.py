@@ -88,7 +88,7 @@ def check_samples(scene: Scene, samples: SampleBuffer) -> None:
         if row >= len(scene.surfaces):
             raise ValueError(f"samples: surface {row} asked for, but the scene has {len(scene.surfaces)} surfaces")
         surface = scene.surfaces[row]
-        components = 0 if samples.color_planes is None else samples.color_planes.shape[0]
+        components = 0 if samples.color_planes is None else samples.color_planes.shape[1]
         if surface.color_components > components:
             raise ValueError(
                 f"samples: surface {row} has {surface.color_components}-component vertex colours, "
