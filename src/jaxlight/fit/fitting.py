@@ -235,7 +235,7 @@ def make_fit(
         loss=value,
         rms=rms,
         outcome=outcome,
-        message=_message(outcome, accepted, tried, rms),
+        message=_message(outcome, accepted, tried, rms, at_kink=bool(state.solver.at_kink)),
         history=tuple(history),
         problem=problem,
         description=description,
@@ -258,8 +258,13 @@ def _outcome(state: FitState, interrupted: bool) -> Outcome:
     return "interrupted" if interrupted else "max_steps"
 
 
-def _message(outcome: Outcome, accepted: int, tried: int, rms: float) -> str:
+def _message(outcome: Outcome, accepted: int, tried: int, rms: float, *, at_kink: bool) -> str:
     trials = f"{accepted} steps ({tried} tried)"
+    if outcome == "converged" and at_kink:
+        return (
+            f"Converged in {trials} to a kink of the equation (samples where a light sets), within a tenth of a "
+            f"standard error of the optimum; residual RMS {rms:.3g}."
+        )
     return {
         "converged": f"Converged in {trials}; residual RMS {rms:.3g}.",
         "max_steps": f"Not converged: stopped after {trials}, the most that were allowed; residual RMS {rms:.3g}.",

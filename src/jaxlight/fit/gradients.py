@@ -119,7 +119,7 @@ def check_gradients(
     for field, own in zip(described, numbers, strict=True):
         smooth = np.all([slopes[k].smooth for k in own.tolist()], axis=0)
         largest = max(float(np.max(np.abs(slopes[k].value))) for k in own.tolist())
-        scale = max(largest, *(1e4 * slopes[k].noise for k in own.tolist()))
+        scale = max(largest, *(1e5 * slopes[k].noise for k in own.tolist()))
         forward = reverse = 0.0
         for k in own.tolist():
             forward = _worst(forward, float(np.max(slopes[k].distance(tangents[k]))) / scale)
@@ -128,7 +128,7 @@ def check_gradients(
             pulled = _reverse(parameters, world, samples, options, jnp.asarray(weights, dtype))
             total = float(np.sum(weights * slopes[k].value))
             error = abs(float(np.asarray(pulled, np.float64)[k]) - total)
-            reverse = _worst(reverse, error / max(total, scale * np.sqrt(smooth.size)))
+            reverse = _worst(reverse, error / max(total, scale * float(np.sqrt(smooth.size))))
         kinks = int(np.count_nonzero(~np.all(smooth, axis=0)))
         rows.append(GradientRow(field.path, largest, forward, reverse, kinks))
     return GradientCheck(tuple(rows), skipped, limit, "float32" if single else "float64")

@@ -71,7 +71,8 @@ def ambiguities(seen: Seen, values: np.ndarray, labels: Sequence[str], fields: S
     found = []
     for scaled in _sparse_basis(seen.null):
         direction = np.where(scaled == 0, 0, scaled / np.where(seen.scale > 0, seen.scale, 1))
-        direction /= direction[np.argmax(np.abs(direction))]
+        # The last number to move, a light's or an exposure's rather than a material's, moves up.
+        direction *= np.sign(direction[np.flatnonzero(direction)[-1]]) / np.max(np.abs(direction))
         found.append(_told(direction, values, labels, fields))
     return found
 

@@ -32,6 +32,8 @@ class Problem(eqx.Module):
     strides: Strides
     views: tuple[ViewData, ...]
     """Views of the same structure are stacked along a leading axis."""
+    count: Float[Array, ""]
+    """Number of residuals that count (weight > 0)."""
     loss_scale: Float[Array, ""]
     """Residual at which a robust loss turns from squares to tolerance."""
     loss_kind: LossKind = eqx.field(static=True)
@@ -90,15 +92,16 @@ def make_problem(
     for field in fields:
         for label, number in zip(field.labels, field.numbers.tolist(), strict=True):
             labels[number] = labels[number] or label
+    count = sum(int(np.count_nonzero(np.asarray(one.root_weight))) * (3 // one.root_weight.shape[0]) for one in data)
     problem = Problem(
         world=world,
         parameters=parameters,
         strides=_strides(scene, parameters, fields, each, dtype),
         views=_stack(data),
+        count=jnp.asarray(count, dtype=dtype),
         loss_scale=jnp.asarray(1.0 if loss_scale is None else loss_scale, dtype=dtype),
         loss_kind=loss,
     )
-    count = sum(int(np.count_nonzero(np.asarray(one.root_weight))) * (3 // one.root_weight.shape[0]) for one in data)
     noise_known = all(view.noise is not None for view in each)
     return problem, Description(fields, labels, names, count, noise_known, scene.document)
 

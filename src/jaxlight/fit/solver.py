@@ -26,6 +26,8 @@ from .box import minimise_in_box
 from .strides import Strides
 
 MAX_DAMPING = 1e8
+KINK_DAMPING = 1e3
+KINK_OFFSET = 0.1
 
 
 class DescentState(eqx.Module):
@@ -131,6 +133,8 @@ class SolverState(eqx.Module):
     accepted: Bool[Array, ""]
     num_steps: Int[Array, ""]
     num_accepted_steps: Int[Array, ""]
+    at_kink: Bool[Array, ""]
+    """Ended where the slope jumps across the optimum, closer to it than a tenth of a standard error."""
     terminate: Bool[Array, ""]
     result: Any
     """An `optimistix.RESULTS`."""
@@ -141,7 +145,10 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     Done when the undamped step is below atol + rtol |y| in every component, or when the whole step would lower the
     loss by less than the precision can show. The first test does not depend on the damping, so that a solver that
-    crawls is not taken for one that has arrived.
+    crawls is not taken for one that has arrived. A sum of residuals that are not 0 often has its optimum on a kink (a
+    sample on the line where N . L = 0), where no slope vanishes: there the solver is done when even the shortest steps
+    lead upwards and the whole step left is a small part of the standard error that `freedom` (residuals less
+    parameters) implies; without `freedom` this test is off.
 
     Takes the `options` `loss(y, args)` and `normal_equations(y, args) -> (loss, gradient, curvature)`.
     """
@@ -152,9 +159,21 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     descent: BoxDampedNewton
     search: GainRatio
 
-    def __init__(self, rtol: Any, atol: Any, lower: Any, upper: Any, strides: Strides | None = None) -> None:
+    freedom: Array
+
+    def __init__(
+        self,
+        rtol: Any,
+        atol: Any,
+        lower: Any,
+        upper: Any,
+        *,
+        strides: Strides | None = None,
+        freedom: Any = 0,
+    ) -> None:
         # Arrays, so that a changed tolerance compiles nothing anew.
         self.rtol, self.atol = jnp.asarray(rtol), jnp.asarray(atol)
+        self.freedom = jnp.asarray(freedom, self.rtol.dtype)
         self.norm = optx.max_norm
         lower, upper = jnp.asarray(lower), jnp.asarray(upper)
         strides = Strides.none(lower.shape[0], lower.dtype) if strides is None else strides
@@ -176,6 +195,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             accepted=jnp.array(False),
             num_steps=jnp.zeros((), jnp.int32),
             num_accepted_steps=jnp.zeros((), jnp.int32),
+            at_kink=jnp.array(False),
             terminate=jnp.array(False),
             result=optx.RESULTS.successful,
         )
@@ -216,9 +236,12 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         # Below the rounding of the loss, and no longer falling: nothing more to be had in this precision.
         exhausted = (achievable <= 4 * eps * loss) & (achievable > state.achievable / 4) & ~state.first_step
         converged = (step_norm < 1) | (achievable <= 4 * eps**2 * loss) | exhausted
+        offset_squared = achievable * self.freedom / (y.shape[0] * jnp.maximum(loss, jnp.finfo(y.dtype).tiny))
+        near = (self.freedom > 0) & (offset_squared < KINK_OFFSET**2)
+        at_kink = ~accept & (step_size < 1 / KINK_DAMPING) & near & ~converged
         finite = jnp.isfinite(loss) & jnp.all(jnp.isfinite(gradient)) & jnp.all(jnp.isfinite(curvature))
         stuck = step_size < 1 / MAX_DAMPING
-        result = optx.RESULTS.where(stuck & ~converged, optx.RESULTS.nonlinear_divergence, result)
+        result = optx.RESULTS.where(stuck & ~converged & ~at_kink, optx.RESULTS.nonlinear_divergence, result)
         result = optx.RESULTS.where(finite, result, optx.RESULTS.nonfinite)
         move, descent_result = self.descent.step(step_size, descent_state)
         result = optx.RESULTS.where(result == optx.RESULTS.successful, descent_result, result)
@@ -236,7 +259,8 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             num_steps=state.num_steps + 1,
             # The evaluation of the start is no step.
             num_accepted_steps=state.num_accepted_steps + (accept & ~state.first_step),
-            terminate=(accept | (achievable <= 4 * eps * loss)) & converged & finite,
+            at_kink=at_kink,
+            terminate=(((accept | (achievable <= 4 * eps * loss)) & converged) | at_kink) & finite,
             result=result,
         )
         return y, new_state, None

@@ -1,0 +1,204 @@
+"""What a fit cannot know is found and named; the errors that it states are the errors that it makes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fit_scenes import (
+    PRECISIONS,
+    key_light,
+    material,
+    precision,
+    sphere_picture,
+    sphere_points,
+    sphere_samples,
+    sphere_scene,
+)
+from jaxlight import Free, View, fit, nodes
+from jaxlight.fit.problem import make_problem
+from jaxlight.fit.run import make_solver, solve
+from jaxlight.fit.uncertainty import Uncertainty, uncertainty
+
+SIZE = 32
+DIFFUSE, SPECULAR = "Material[body].diffuse_color", "Material[body].specular_color"
+TWIN = key_light(name="twin", intensity=0.4)
+SUN = nodes.DirectionalLight(name="sun", direction=(1.0, -2.0, -3.0), global_=True)
+FAR = nodes.PointLight(name="far", location=(50.0, 0.0, 0.0), radius=10.0)
+TRADED, PRODUCT, SUM = "can be traded for", "only their product is seen", "only their sum is seen"
+
+PLANTED: dict[str, tuple[list[Any], dict[str, Any], list[str], list[str]]] = {
+    "strength against albedo": (
+        [key_light()], {}, [DIFFUSE, SPECULAR, "PointLight[key].intensity"],
+        [f"PointLight[key].intensity {TRADED} {DIFFUSE} and {SPECULAR}: {PRODUCT}"],
+    ),
+    "colour against albedo, a channel each": (
+        [key_light()], {}, [DIFFUSE, SPECULAR, "PointLight[key].color"],
+        [f"PointLight[key].color.{c} {TRADED} {DIFFUSE}.{c} and {SPECULAR}.{c}: {PRODUCT}" for c in "rgb"],
+    ),
+    "colour against strength": (
+        [key_light()], {}, ["PointLight[key].color", "PointLight[key].intensity", SPECULAR + ".r"],
+        [f"PointLight[key].intensity {TRADED} PointLight[key].color: {PRODUCT}"],
+    ),
+    "length of a direction": (
+        [SUN], {}, [DIFFUSE, "DirectionalLight[sun].direction"],
+        ["the length of DirectionalLight[sun].direction is not seen: only where it points"],
+    ),
+    "no highlight": (
+        [key_light()], {"specular_color": (0, 0, 0)}, [DIFFUSE, "Material[body].shininess"],
+        ["Material[body].shininess is not seen: the pictures do not change with it"],
+    ),
+    "two lights in one place": (
+        [key_light(), TWIN], {}, ["PointLight[*].intensity", "Material[body].shininess"],
+        [f"PointLight[twin].intensity {TRADED} PointLight[key].intensity: {SUM}"],
+    ),
+    "out of reach": (
+        [key_light(), FAR], {}, [DIFFUSE, "PointLight[far].intensity"],
+        ["PointLight[far].intensity is not seen: the pictures do not change with it"],
+    ),
+    "strength against attenuation": (
+        [key_light(attenuation=(1.0, 0.5, 0.2))], {}, ["PointLight[key].intensity", "PointLight[key].attenuation"],
+        [f"PointLight[key].intensity {TRADED} PointLight[key].attenuation: only their ratio is seen"],
+    ),
+    "exposure against strength": (
+        [key_light()], {}, ["PointLight[key].intensity", "View[0].exposure", "Material[body].shininess"],
+        [f"View[0].exposure {TRADED} PointLight[key].intensity: {PRODUCT}"],
+    ),
+    "two factors of the ambient term": (
+        [key_light(ambient_intensity=0.3)], {},
+        ["Material[body].ambient_intensity", "PointLight[key].ambient_intensity", DIFFUSE],
+        [f"PointLight[key].ambient_intensity {TRADED} Material[body].ambient_intensity: {PRODUCT}"],
+    ),
+    "transparency without a background": (
+        [key_light()], {}, ["Material[body].transparency", DIFFUSE],
+        ["Material[body].transparency is not seen: the pictures do not change with it"],
+    ),
+}  # fmt: skip
+
+
+def known(lights: list[Any], changes: dict[str, Any], free: list[Any], dtype: Any) -> Uncertainty:
+    body = material(**changes)
+    view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, *lights, body=body, noise=0.01))
+    problem, description = make_problem(sphere_scene(*lights, body=body, dtype=dtype), view, free)
+    return uncertainty(problem, description, problem.parameters.start)
+
+
+@pytest.mark.parametrize("kind", PLANTED)
+def test_a_planted_ambiguity_is_named(kind: str) -> None:
+    lights, changes, free, sentences = PLANTED[kind]
+    with precision("float32") as dtype:
+        found = known(lights, changes, free, dtype)
+    assert not found.well_posed
+    assert sorted(line for line in found.messages() if "seen" in line) == sorted(sentences)
+    assert found.rank == len(found.labels) - len(sentences)
+    unknown = {found.labels[i] for a in found.ambiguities for i in np.flatnonzero(a.direction)} | set(found.unseen)
+    assert {label for label, e in zip(found.labels, found.standard_error, strict=True) if np.isinf(e)} == unknown
+
+
+@pytest.mark.parametrize("bits", PRECISIONS)
+def test_a_well_posed_fit_has_none(bits: str) -> None:
+    free = [DIFFUSE, SPECULAR, "Material[body].shininess", "PointLight[key].location"]
+    with precision(bits) as dtype:
+        found = known([key_light()], {}, free, dtype)
+    assert found.well_posed and found.messages() == [] and found.rank == len(found.labels) == 10
+    assert found.noise == pytest.approx(0.01, rel=0.05)
+    assert np.all((found.standard_error > 0) & (found.standard_error < 0.02))
+
+
+def test_a_direction_keeps_its_pictures() -> None:
+    """Moving along a named direction does not change the picture: the claim itself, tested."""
+    lights, changes, free, _ = PLANTED["strength against albedo"]
+    body = material(**changes)
+    with precision("float64") as dtype:
+        samples = sphere_samples(SIZE, dtype=dtype)
+        view = View(samples, sphere_picture(SIZE, *lights, body=body))
+        problem, description = make_problem(sphere_scene(*lights, body=body, dtype=dtype), view, free)
+        (ambiguity,) = uncertainty(problem, description, problem.parameters.start).ambiguities
+        from jaxlight.fit.normal import loss
+
+        moved = problem.parameters.start + 1e-4 * jnp.asarray(ambiguity.direction)
+        # Second order: the product of two changes of 1e-4.
+        assert float(loss(problem, moved)) < 1e-12 < float(loss(problem, problem.parameters.start + 1e-4))
+
+
+def test_numbers_at_a_bound_are_told_and_taken_as_known() -> None:
+    body = material(diffuse_color=(1.0, 0.5, 0.2), specular_color=(0.0, 0.3, 0.3))
+    start = material(diffuse_color=(0.5, 0.5, 0.5), specular_color=(0.2, 0.2, 0.2))
+    brighter = sphere_picture(SIZE, body=body, noise=0.001)
+    brighter[..., 0] = 1.1 * sphere_picture(SIZE, key_light(), body=material(diffuse_color=(1, 0, 0)))[..., 0] - 0.01
+    with precision("float64") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), brighter)
+        result = fit(sphere_scene(body=start, dtype=dtype), view, [DIFFUSE, SPECULAR, "Material[body].shininess"])
+    found = result.uncertainty
+    assert (f"{DIFFUSE}.r", "upper") in found.at_bound
+    assert found.standard_error[0] == 0 and np.all(found.standard_error[1:3] > 0)
+    assert f"{DIFFUSE}.r lies on its upper bound" in found.messages()
+
+
+def test_what_is_hardly_seen_and_hardly_told_apart_is_said() -> None:
+    far = key_light(location=(300.0, 400.0, 1200.0), radius=1e6)
+    with precision("float64") as dtype:
+        found = known([far], {}, ["PointLight[key].location", "PointLight[key].intensity"], dtype)
+    assert found.well_posed
+    assert any("is hardly seen: its standard error is" in line for line in found.messages())
+    assert any("hard to tell apart" in line for line in found.messages())
+    assert abs(found.correlations[0].value) > 0.99
+
+
+def test_intervals_of_95_percent_cover_the_truth_as_often_as_they_say() -> None:
+    free = [DIFFUSE, SPECULAR, "Material[body].shininess", "PointLight[key].location", "PointLight[key].color.g"]
+    free[1:2] = [Free(SPECULAR, tied="all")]
+    fits, noise, size = 500, 0.02, 16
+    body = material(specular_color=(0.4, 0.4, 0.4))
+    pixel = sphere_points(size)[1]
+    truth_picture = sphere_picture(size, body=body).reshape(-1, 3)[pixel]
+    with precision("float64") as dtype:
+        samples = sphere_samples(size, dtype=dtype)
+        problem, description = make_problem(sphere_scene(body=body, dtype=dtype), View(samples, truth_picture), free)
+        solver = make_solver(problem)
+        truth = np.asarray(problem.parameters.start)
+        (view,) = problem.views
+        clean = np.asarray(view.target)[0]
+        random = np.random.default_rng(7)
+        targets = jnp.asarray(clean + noise * random.normal(size=(fits, *clean.shape)))
+
+        @eqx.filter_jit
+        def fit_all(problem: Any, targets: Any) -> Any:
+            def one(target: Any) -> Any:
+                noisy = eqx.tree_at(lambda p: p.views[0].target, problem, target[None])
+                return solve(noisy, solver, noisy.parameters.start)
+
+            return eqx.filter_vmap(one)(targets)
+
+        solution = fit_all(problem, targets)
+        values = np.asarray(solution.value)
+        assert np.all(np.asarray(solution.state.terminate))
+        curvature = np.asarray(solution.state.curvature)
+        freedom = description.residuals - len(truth)
+        variance = 2 * np.asarray(solution.state.loss) / freedom
+        deviations = np.sqrt(variance[:, None] * np.array([np.diagonal(np.linalg.inv(c)) for c in curvature]))
+        # The same errors as those the library states, for one of the fits.
+        noisy = eqx.tree_at(lambda p: p.views[0].target, problem, targets[:1])
+        stated = uncertainty(noisy, description, values[0])
+        np.testing.assert_allclose(stated.standard_error, deviations[0], rtol=1e-6)
+    covered = np.abs(values - truth) <= 1.96 * deviations
+    assert 0.93 <= covered.mean() <= 0.97
+    assert np.all((covered.mean(axis=0) > 0.92) & (covered.mean(axis=0) < 0.98)), covered.mean(axis=0)
+
+
+def test_a_stated_noise_makes_errors_absolute() -> None:
+    free = [DIFFUSE, "Material[body].shininess"]
+    with precision("float64") as dtype:
+        samples, picture = sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE)
+        scene = sphere_scene(dtype=dtype)
+        errors = []
+        for noise in (0.01, 0.02):
+            problem, description = make_problem(scene, View(samples, picture, noise=noise), free)
+            errors.append(uncertainty(problem, description, problem.parameters.start).standard_error)
+    assert jax.config.jax_enable_x64 is False
+    np.testing.assert_allclose(errors[1], 2 * errors[0], rtol=1e-9)
