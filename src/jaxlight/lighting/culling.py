@@ -19,7 +19,7 @@ from .terms import Geometry, Received
 from .vectors import Vector, cross, dot
 from .world import WorldLights, in_chunks
 
-CAPACITY = 64
+CAPACITY = 256
 CHUNK = 4
 
 

@@ -45,10 +45,10 @@ def log_cosine(n: Vector, h: Vector, inverse: Array) -> Array:
 
 @log_cosine.defjvp
 def _log_cosine_jvp(primals, tangents):
-    """d ln(n . h / |h|) = (n - H (n . H)) . dh / (|h| n . H) + H . dn / (n . H). The change of `inverse` is part of that.
+    """d ln(n . h / |h|) = (n - H (n . H)) . dh / (|h| n . H) + H . dn / (n . H). The change of `inverse` is part of it.
 
-    n - H (n . H) is taken as D - H (D . H) with D = n - H: near the peak rounded lengths of n and H would otherwise leave
-    a part along H, as large as the angle between them.
+    n - H (n . H) is taken as D - H (D . H) with D = n - H: near the peak rounded lengths of n and H would otherwise
+    leave a part along H, as large as the angle between them.
     """
     (n, h, inverse), (dn, dh, _) = primals, tangents
     value = log_cosine(n, h, inverse)

@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
+from jax.core import Tracer
 
 from ..raster.samples import SampleBuffer
 from ..scene import DirectionalLights, PointLights, Scene, SpotLights
@@ -63,7 +64,7 @@ class _Known:
         self._free = {id(leaf) for leaf in free}
 
     def __call__(self, leaf: Any) -> np.ndarray | None:
-        if isinstance(leaf, jax.core.Tracer) or id(leaf) in self._free:
+        if isinstance(leaf, Tracer) or id(leaf) in self._free:
             return None
         return np.asarray(leaf)
 
@@ -90,10 +91,11 @@ def make_plan(
     options = options or LightingOptions()
     known = _Known(jax.tree.leaves(scene) if free is True else free)
     bounds = None if samples is None else _bounds(known, samples)
-    lit = scene.materials is not None
-    specular = lit and not known.all_zero(scene.materials.specular_color)
-    ambient = lit and not known.all_zero(scene.materials.ambient_intensity)
-    emissive = lit and not known.all_zero(scene.materials.emissive_color)
+    materials = scene.materials
+    lit = materials is not None
+    specular = materials is not None and not known.all_zero(materials.specular_color)
+    ambient = materials is not None and not known.all_zero(materials.ambient_intensity)
+    emissive = materials is not None and not known.all_zero(materials.emissive_color)
 
     def light_plan(lights: DirectionalLights | PointLights | SpotLights | None) -> LightPlan | None:
         if lights is None or not lit:

@@ -6,6 +6,7 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ..raster.samples import SampleBuffer
@@ -72,7 +73,7 @@ _shade_tiles_wide = jax.jit(_tiles_of, static_argnames="plan", compiler_options=
 def _runs_alone_on_cpu(scene: Scene, samples: SampleBuffer) -> bool:
     """True outside jit, grad and vmap, on the CPU."""
     leaves = jax.tree.leaves((scene, samples))
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+    if any(isinstance(leaf, Tracer) for leaf in leaves):
         return False
     return all(device.platform == "cpu" for device in samples.position_planes.devices())
 

@@ -55,7 +55,7 @@ class Received(NamedTuple):
     """What multiplies O_S; None: skipped."""
 
     def __add__(self, other: Received) -> Received:  # type: ignore[override]  # a sum of light, not a tuple's
-        specular = None if self.specular is None else self.specular + other.specular
+        specular = None if self.specular is None or other.specular is None else self.specular + other.specular
         return Received(self.diffuse + other.diffuse, specular)
 
 
@@ -93,40 +93,32 @@ def received(
 
 def _light_vector(stage: Stage, lights: WorldLights, tile: Geometry) -> tuple[Callable[[], Vector], Array | None]:
     """L as a function, and attenuation * spot * (within radius); None: 1."""
+    towards = lights.towards
     if lights.place is None:
-        return lambda: lights.towards, None  # type: ignore[return-value]  # directional lights have it
+        assert towards is not None
+        return lambda: towards, None
 
-    place = lights.place
+    place, to_local = lights.place, lights.to_local
     # Kept, so that the derivatives by the places are summed over samples once, not in every stage.
-    kept = Vector(
+    offset = Vector(
         stage(lambda: place.x - tile.position.x),
         stage(lambda: place.y - tile.position.y),
         stage(lambda: place.z - tile.position.z),
     )
-
-    def offset() -> Vector:
-        return kept
-
     inverse = lax.cond(
-        _squares_in_range(lights.place, tile),
-        lambda: inverse_length_in_range(offset()),
-        lambda: inverse_length(offset()),
+        _squares_in_range(place, tile), lambda: inverse_length_in_range(offset), lambda: inverse_length(offset)
     )
 
     def l() -> Vector:
-        return normalised(offset(), inverse)[0]
+        return normalised(offset, inverse)[0]
 
-    spot = distance = None
-    if lights.axis is not None:
-        angle = stage(lambda: factors.angle_between(-l(), lights.axis))
-        spot = stage(lambda: factors.spot(angle, lights.beam_width, lights.cut_off_angle))
-    if lights.to_local is not None:
-        distance = stage(lambda: unit(transform(lights.to_local, offset()))[1])
+    spot = _spot(stage, lights, l)
+    distance = None if to_local is None else stage(lambda: unit(transform(to_local, offset))[1])
     if lights.attenuation is None and lights.radius is None:
         return l, spot
 
     def reaching() -> Array:
-        d = normalised(offset(), inverse)[1] if distance is None else distance
+        d = normalised(offset, inverse)[1] if distance is None else distance
         if lights.unit_length is not None:
             d = d / lights.unit_length
         factor = jnp.ones_like(d) if lights.attenuation is None else factors.attenuation(*lights.attenuation, d)
@@ -135,6 +127,15 @@ def _light_vector(stage: Stage, lights: WorldLights, tile: Geometry) -> tuple[Ca
         return factor if lights.radius is None else jnp.where(d <= lights.radius, factor, 0.0)
 
     return l, stage(reaching)
+
+
+def _spot(stage: Stage, lights: WorldLights, l: Callable[[], Vector]) -> Array | None:
+    """The spotlight factor; None for lights without a cone."""
+    axis, beam_width, cut_off_angle = lights.axis, lights.beam_width, lights.cut_off_angle
+    if axis is None or beam_width is None or cut_off_angle is None:
+        return None
+    angle = stage(lambda: factors.angle_between(-l(), axis))
+    return stage(lambda: factors.spot(angle, beam_width, cut_off_angle))
 
 
 def _squares_in_range(place: Vector, tile: Geometry) -> Array:

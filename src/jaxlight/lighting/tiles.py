@@ -102,24 +102,29 @@ def tile_color(run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, 
     row = samples.tile_surface[index] if run.single is None else run.single
     material = material_row(prepared, surface, row, run.single, lanes)
     vertex_color = texel = None
-    if surface.color_components:
+    if surface.color_components and samples.color_planes is not None:
         vertex_color = of_tile(samples.color_planes)
-    if surface.texture >= 0 and surface.lighting != "emissive":
-        weight = cut(samples.texel_weight)
-        texel = sampled_texture(
-            prepared.textures[surface.texture], cut(samples.texel_index, jnp.dtype(jnp.int32)), weight
-        )
+    index_planes, weight_planes = samples.texel_index, samples.texel_weight
+    if (
+        surface.texture >= 0
+        and surface.lighting != "emissive"
+        and index_planes is not None
+        and weight_planes is not None
+    ):
+        weight = cut(weight_planes)
+        texel = sampled_texture(prepared.textures[surface.texture], cut(index_planes, jnp.dtype(jnp.int32)), weight)
     low, high = samples.tile_low[:, index].astype(dtype), samples.tile_high[:, index].astype(dtype)
     ground = geometry(stage, position, normal, samples.eye.astype(dtype), low, high)
-    is_lit = surface.lighting == "lit"
-    light = _light(stage, prepared, plan, ground, material, row) if is_lit else None
+    lit_material = material if surface.lighting == "lit" else None
+    light = None if lit_material is None else _light(stage, prepared, plan, ground, lit_material, row)
+    fog = prepared.fog if lit_material is not None or plan.options.fog_unlit else None
 
     def rgb() -> Array:
         color = base_color(surface, plan.options, material, vertex_color, texel)
-        if is_lit:
-            color = lit(material, color, light, emissive=plan.emissive)
-        if plan.fog is not None and (is_lit or plan.options.fog_unlit):
-            color = fogged(color, prepared.fog, plan.fog.fog_type, ground)
+        if lit_material is not None:
+            color = lit(lit_material, color, light, emissive=plan.emissive)
+        if fog is not None and plan.fog is not None:
+            color = fogged(color, fog, plan.fog.fog_type, ground)
         return jnp.broadcast_to(color, (3, tile // lanes, lanes)).astype(dtype)
 
     opacity = alpha(plan.options, material, vertex_color, texel)

@@ -73,6 +73,7 @@ class SampleBuffer(eqx.Module):
         camera_to_world: Any = None,
         pixel_to_world: Any = None,
         tile: int | None = None,
+        by_place: bool = False,
         dtype: Any = None,
     ) -> SampleBuffer:
         """A buffer from rows, in any order; results of `shade` come in the same order.
@@ -89,6 +90,8 @@ class SampleBuffer(eqx.Module):
             camera_to_world: [3, 3], rotation from camera axes to the world.
             pixel_to_world: [3, 3], (u, v, 1) in pixels to the direction of its ray in world axes.
             tile: samples a tile, a power of two (default: chosen from N).
+            by_place: store neighbours in space in the same tile, whatever the order of the rows. Worth it for many
+                lights with a small radius, of which a tile then meets few.
             dtype: float type of the arrays (default: JAX's).
 
         Raises:
@@ -114,7 +117,7 @@ class SampleBuffer(eqx.Module):
         pixel_to_world = None if pixel_to_world is None else _vector("pixel_to_world", pixel_to_world, (3, 3))
         if tile is not None and (tile < 1 or tile & (tile - 1)):
             raise ValueError(f"SampleBuffer: tile: expected a power of two, got {tile}")
-        layout = _layout(surface, tile)
+        layout = _layout(surface, tile, along_curve(position) if by_place else None)
 
         def planes(values: np.ndarray | None) -> Any:
             """[N, components] -> [tiles, components, tile]"""
@@ -210,8 +213,9 @@ class _Layout(NamedTuple):
     tile: int
 
 
-def _layout(surface: np.ndarray, tile: int | None) -> _Layout:
-    order = np.argsort(surface, kind="stable")
+def _layout(surface: np.ndarray, tile: int | None, place: np.ndarray | None = None) -> _Layout:
+    """`place` [N]: what to order the samples of a surface by; None: as they come."""
+    order = np.argsort(surface, kind="stable") if place is None else np.lexsort((place, surface))
     rows, counts = np.unique(surface, return_counts=True)
     if tile is None:
         tile = _tile_size(len(surface), len(rows))
@@ -229,6 +233,17 @@ def _layout(surface: np.ndarray, tile: int | None) -> _Layout:
     in_order = bool(np.all(slot == np.arange(len(surface))))
     runs = tuple(zip(rows.tolist(), first_tile.tolist(), last_tile.tolist(), strict=True))
     return _Layout(source, is_padding, None if in_order else slot, np.repeat(rows, tiles), runs, tile)
+
+
+def along_curve(position: np.ndarray) -> np.ndarray:
+    """Places [N] of positions [N, 3] along a Morton curve through their bounds, 2^20 steps an axis."""
+    low, high = (position.min(axis=0), position.max(axis=0)) if len(position) else (np.zeros(3), np.ones(3))
+    steps = ((position - low) / np.where(high > low, high - low, 1.0) * (2**20 - 1)).astype(np.uint64)
+    place = np.zeros(len(position), dtype=np.uint64)
+    for bit in range(20):
+        for axis in range(3):
+            place |= ((steps[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    return place
 
 
 def _tile_size(samples: int, surfaces: int) -> int:

@@ -1,0 +1,98 @@
+"""Many lights: tiles that compute only the lights that reach them give what all lights give."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxlight import Scene, nodes
+from jaxlight.lighting import culling, make_plan, shade
+from jaxlight.raster import SampleBuffer
+
+LIGHTS = 300
+
+
+def lights(kind: str, random: np.random.Generator, radius: float) -> list[Any]:
+    common = [
+        {
+            "ambient_intensity": 0.2,
+            "attenuation": (0.5, 0.2, 0.1),
+            "color": random.uniform(0.2, 1, 3),
+            "location": (*random.uniform(-2, 2, 2), 0.4),
+            "radius": radius,
+        }
+        for _ in range(LIGHTS)
+    ]
+    if kind == "point":
+        return [nodes.PointLight(**fields) for fields in common]
+    return [
+        nodes.SpotLight(**fields, direction=random.normal(size=3), beam_width=0.2, cut_off_angle=0.7)
+        for fields in common
+    ]
+
+
+def many_lights(kind: str, radius: float, *, moved: bool = False) -> tuple[Scene, SampleBuffer]:
+    """A bumpy sheet of 64 x 64 samples, stored by place, under small lights."""
+    random = np.random.default_rng(5)
+    x, y = np.meshgrid(np.linspace(-2, 2, 64), np.linspace(-2, 2, 64))
+    position = np.stack([x.ravel(), y.ravel(), 0.2 * np.sin(3 * x.ravel())], axis=1)
+    normal = np.stack([-0.6 * np.cos(3 * x.ravel()), 0 * x.ravel(), np.ones(x.size)], axis=1)
+    body = nodes.Material(specular_color=(0.4, 0.5, 0.6), shininess=0.1)
+    shape = nodes.Shape(appearance=nodes.Appearance(material=body))
+    own: Any = lights(kind, random, radius)
+    if moved:
+        own = [nodes.Transform(translation=(0.5, 0, 0), scale=(0.5, 0.5, 0.5), children=own)]
+    return Scene.from_nodes([shape, *own]), SampleBuffer.create(
+        position, normal, [0.3, 0.2, 6], tile=128, by_place=True
+    )
+
+
+def plans(scene: Scene, samples: SampleBuffer, kind: str) -> tuple[Any, Any]:
+    """What would be done, and the same without culling."""
+    plan = make_plan(scene, samples, free=True)
+    return plan, plan._replace(**{kind: getattr(plan, kind)._replace(culled=False)})
+
+
+@pytest.mark.parametrize(
+    ("kind", "radius", "moved"),
+    [("point", 0.3, False), ("point", 0.6, True), ("spot", 0.8, False), ("spot", 100.0, False)],
+)
+def test_culling_changes_no_value_and_no_derivative(kind: str, radius: float, moved: bool) -> None:
+    scene, samples = many_lights(kind, radius, moved=moved)
+    scene = dataclasses.replace(scene, document=None)
+    culled, brute = plans(scene, samples, kind)
+    assert getattr(culled, kind).culled
+    weights = jnp.asarray(np.random.default_rng(1).normal(size=(samples.count, 4)))
+
+    def total(scene: Scene, plan: Any) -> jax.Array:
+        return jnp.sum(weights * shade(scene, samples, plan=plan))
+
+    np.testing.assert_allclose(shade(scene, samples, plan=culled), shade(scene, samples, plan=brute), atol=2e-5)
+    slope = jax.jit(jax.grad(total), static_argnums=1)
+    for got, wanted in zip(jax.tree.leaves(slope(scene, culled)), jax.tree.leaves(slope(scene, brute)), strict=True):
+        np.testing.assert_allclose(got, wanted, atol=2e-5 * max(1.0, float(jnp.max(jnp.abs(wanted)))))
+
+
+def test_more_lights_than_a_tile_has_room_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beyond the capacity of a tile's list all lights are computed: slower, the same picture."""
+    scene, samples = many_lights("point", 0.6)
+    wanted = shade(scene, samples, plan=plans(scene, samples, "point")[1])
+    monkeypatch.setattr(culling, "CAPACITY", 8)
+    jax.clear_caches()
+    np.testing.assert_allclose(shade(scene, samples), wanted, atol=2e-5)
+    jax.clear_caches()
+
+
+def test_few_lights_reach_a_tile() -> None:
+    """The test above would pass if nothing were left out: most lights are."""
+    scene, samples = many_lights("point", 0.3)
+    assert scene.point is not None
+    places, low, high = np.asarray(scene.point.location), np.asarray(samples.tile_low), np.asarray(samples.tile_high)
+    outside = np.maximum(0, np.maximum(low.T[:, None] - places, places - high.T[:, None]))
+    reaching = np.sum(np.linalg.norm(outside, axis=2) <= 0.3, axis=1)
+    assert reaching.max() < LIGHTS / 4
