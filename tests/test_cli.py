@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -335,7 +336,7 @@ BAD_FITS = {
     "bad start": (("target.png",), (*FREE, "--start", "Material[red].shininess=2"), "[0, 1]"),
     "start without value": (("target.png",), (*FREE, "--start", "Material[red].shininess"), "PATH=NUMBERS"),
     "start of three": (("target.png",), (*FREE, "--start", "Material[red].shininess=1 0 1"), "expected 1"),
-    "a mask of another size": (("target.png",), (*FREE, "--masks", "small.png"), "mask"),
+    "a mask of another size": (("target.png",), (*FREE, "--masks", "small.png"), "small.png: expected 48 x 48"),
 }
 
 
@@ -346,6 +347,13 @@ def test_a_bad_fit_is_refused_in_one_line(run, target: Path, case: str) -> None:
     result = run("fit", "scene.x3d", *pictures, "--output", "fitted", *options)
     assert (result.status, result.out) == (2, "")
     assert result.err.count("\n") == 1 and part in result.err
+    assert not Path("fitted").exists()
+
+
+def test_the_headlight_is_refused_before_the_work(run, target: Path) -> None:
+    Path("dark.x3d").write_text(re.sub("<(NavigationInfo|PointLight|SpotLight) .*?/>", "", SCENE))
+    result = run("fit", "dark.x3d", target, "--output", "fitted", "--free", "DirectionalLight[headlight].intensity")
+    assert result.status == 2 and result.err.startswith("jaxlight: error: --free: the headlight")
     assert not Path("fitted").exists()
 
 

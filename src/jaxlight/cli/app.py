@@ -63,6 +63,8 @@ def main(args: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILURE
     except (ValueError, OSError, ImportError) as error:
+        if isinstance(error, ImportError) and error.name is not None:
+            raise  # not one of ours, which say what to install: something is broken
         if os.environ.get("JAXLIGHT_TRACEBACK"):
             traceback.print_exc()
         return _complain(f"error: {_sentence(error)}", BAD_INPUT)

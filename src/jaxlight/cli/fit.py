@@ -80,6 +80,7 @@ class Fit:
             from jaxlight import fit, load
 
             scene = with_start_values(load(self.scene), self.start)
+            _refuse_headlight(scene, self.free)
             stage("finding what is visible")
             views = self._views(scene)
         result = fit(
@@ -126,6 +127,9 @@ class Fit:
         for row, path in enumerate(self.targets):
             target = read_image(path)
             mask = read_image(self.masks[row]).mean(axis=-1) >= 0.5 if self.masks else None
+            if mask is not None and mask.shape != target.shape[:2]:
+                sizes = [f"{width} x {height}" for height, width in (target.shape[:2], mask.shape)]
+                raise ValueError(f"{self.masks[row]}: expected {sizes[0]} pixels as in {path}, got {sizes[1]}")
             if target.shape[2] in (2, 4):
                 opaque = target[..., -1] > 0
                 target, mask = target[..., :-1], opaque if mask is None else mask & opaque
@@ -146,13 +150,24 @@ class Fit:
         options = self.reading.lighting_options()
         self.output.mkdir(parents=True, exist_ok=True)
         scene_file, *picture_files, report_file, numbers_file = self._outputs()
-        save(result.scene, scene_file)
+        with written_whole(numbers_file) as draft:
+            draft.write_text(json.dumps(_numbers(result), indent=2, allow_nan=False) + "\n")
         for path, pictures in zip(picture_files, view_pictures(result, views, options), strict=True):
             write_image(path, encode(pictures.model, self.decode))
         title = f"{self.scene.name} fitted to {', '.join(path.name for path in self.targets)}"
         write_report(report_file, result, views, title=title, options=options, transfer=self.decode)
-        with written_whole(numbers_file) as draft:
-            draft.write_text(json.dumps(_numbers(result), indent=2, allow_nan=False) + "\n")
+        save(result.scene, scene_file)
+
+
+def _refuse_headlight(scene: jaxlight.Scene, free: Sequence[str]) -> None:
+    """Raise ValueError if the browser's headlight is to be fitted: no file can hold the result."""
+    from jaxlight.scene.paths import select
+
+    if scene.directional is not None and scene.directional.headlight:
+        paths = [path for path in free if not path.startswith("View[")]
+        for leaf, mask in select(scene, paths):
+            if leaf.kind == "DirectionalLight" and mask[-1].any():
+                raise ValueError("--free: the headlight is the browser's, no file holds it; add a light to the scene")
 
 
 class _StepLines:
