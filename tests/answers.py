@@ -11,15 +11,14 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from cases_to_scenes import options_of, scene_and_sample, scenes_and_samples, structure
-from oracle.case import Case
-from oracle.paths import Path, float_paths
 
+from cases_to_scenes import options_of, scene_and_sample, scenes_and_samples, structure
 from jaxlight.lighting import Plan, make_plan, shade_planes
 from jaxlight.raster import SampleBuffer
 from jaxlight.scene import Scene
+from oracle.case import Case
+from oracle.paths import Path, float_paths
 
 CHUNK = 256
 

@@ -17,8 +17,8 @@ full precision. An algorithm that is right for slightly wrong inputs has an erro
 move: its zero is no accident, and what follows from it is well-conditioned.)
 
 **Differentiable**: well-conditioned, and points without any derivative are 16 ulp away, too. At and near kinks every
-value within `exact.gradient_bounds` is right. So are a power (N.H)^n below smallest normal number / epsilon (2^-103 in
-float32) and a zero in its place: multiplied by ordinary factors it underflows, while its slopes may stay above.
+value within `exact.gradient_bounds` is right. A power (N.H)^n below smallest normal number / epsilon (float32: 2^-103)
+may lose its digits: multiplied by ordinary factors it underflows, while its slopes may stay above.
 """
 
 from __future__ import annotations

@@ -119,7 +119,7 @@ def light_contribution(
     point = np.array(sample.position)
     to_light = light_vector(light, point)
     n = unit(np.array(sample.normal))
-    l = unit(to_light)  # noqa: E741
+    l = unit(to_light)
     v = unit(np.array(sample.eye) - point)
     h = unit(l + v)
 

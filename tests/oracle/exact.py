@@ -74,15 +74,18 @@ def gradient_bounds(
     """By path, the lowest and highest right derivative of each of the four channels.
 
     They differ only at a kink: there every value between 0 and the one-sided derivative of the kinked term is right,
-    so both sides of every tie are evaluated. Singular inputs get (-inf, inf). `is_tie` may widen what counts as a tie
-    (`condition.near_ties`: what counts in a floating-point format).
+    so both sides of every tie are evaluated. The part of a power that may underflow may be off by as much as it is.
+    Singular inputs get (-inf, inf). `is_tie` may widen what counts as a tie (`condition.near_ties`: what counts in a
+    floating-point format).
     """
     first = evaluate(case, 1)
-    names = [d.name for d in first.decisions if d.kind in ("kink", "underflow") and is_tie(d)]
+    ties = [d for d in first.decisions if is_tie(d)]
+    names = [d.name for d in ties if d.kind == "kink"]
     if len(names) > MAX_TIES:
         raise ValueError(f"{case.label or 'case'}: {len(names)} ties; at most {MAX_TIES} can be tried")
     choices = itertools.product((False, True), repeat=len(names))
     sides = [evaluate(case, 1, ties=dict(zip(names, choice, strict=True))) for choice in choices]
+    lost = [evaluate(case, 1, ties={d.name: False}) for d in ties if d.kind == "underflow"]
     singular = frozenset().union(*(side.singular for side in sides))
     paths = dict.fromkeys(path for side in sides for path in side.gradient)
     none = (mpf(0),) * 4
@@ -90,7 +93,8 @@ def gradient_bounds(
     def bounds(path: Path, channel: int) -> tuple[Any, Any]:
         if path in singular:
             return -mp.inf, mp.inf
-        values = [side.gradient.get(path, none)[channel] for side in sides]
-        return min(values), max(values)
+        here, *values = (side.gradient.get(path, none)[channel] for side in (first, *sides))
+        margin = sum(abs(here - without.gradient.get(path, none)[channel]) for without in lost)
+        return min(values) - margin, max(values) + margin
 
     return {path: tuple(bounds(path, channel) for channel in range(4)) for path in paths}

@@ -90,21 +90,35 @@ def gradients(cases: Sequence[Case], precision: int = 32, *, conditioning: bool 
     """Derivatives (with their bounds at kinks) and their conditions, chunk by chunk of cases of one shape."""
     order = 2 if conditioning else 1
     for index, columns in _chunks(cases, order):
-        tape = FastTape(columns, order, precision)
-        channels = _run(tape)
-        base = _gradient(channels, columns)
-        low, high = base.copy(), base.copy()
-        condition = _gradient_condition(channels, columns, base, precision) if conditioning else None
-        for group in _independent_kinks(tape.kinks):
-            down, up = np.zeros_like(base), np.zeros_like(base)
-            for flip in _sides(group):
-                channels = _run(FastTape(columns, order, precision, flip, MIN_DISTANCE))
-                side = _gradient(channels, columns)
-                down, up = np.minimum(down, side - base), np.maximum(up, side - base)
-                if condition is not None:
-                    condition = np.maximum(condition, _gradient_condition(channels, columns, side, precision))
-            low, high = low + down, high + up
-        yield Gradients(index, columns.paths, low, high, condition, tape.distances)
+        yield _gradients_of_chunk(index, columns, order, precision)
+
+
+def _gradients_of_chunk(index: np.ndarray, columns: Columns, order: int, precision: int) -> Gradients:
+    tape = FastTape(columns, order, precision)
+    channels = _run(tape)
+    base = _gradient(channels, columns)
+    low, high = base.copy(), base.copy()
+    condition = _gradient_condition(channels, columns, base, precision) if order == 2 else None
+
+    def turned_over(names: frozenset[str]) -> np.ndarray:
+        """How the derivatives change; their condition is that of the worse side."""
+        nonlocal condition
+        channels = _run(FastTape(columns, order, precision, names, MIN_DISTANCE))
+        side = _gradient(channels, columns)
+        if condition is not None:
+            condition = np.maximum(condition, _gradient_condition(channels, columns, side, precision))
+        return side - base
+
+    for group in _independent_kinks(tape.kinks):
+        down, up = np.zeros_like(base), np.zeros_like(base)
+        for flip in _sides(group):
+            change = turned_over(flip)
+            down, up = np.minimum(down, change), np.maximum(up, change)
+        low, high = low + down, high + up
+    for name in tape.powers_lost:
+        change = np.abs(turned_over(frozenset([name])))
+        low, high = low - change, high + change
+    return Gradients(index, columns.paths, low, high, condition, tape.distances)
 
 
 def _independent_kinks(kinks: dict[str, np.ndarray]) -> list[dict[str, np.ndarray]]:

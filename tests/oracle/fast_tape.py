@@ -61,6 +61,7 @@ class FastTape:
         self.smallest = underflow_threshold(precision)
         self.distances = {kind: np.full(columns.count, np.inf) for kind in ("jump", "kink", "cone")}
         self.kinks: dict[str, np.ndarray] = {}
+        self.powers_lost: list[str] = []
         self.active: Any = np.True_
         """Where what is being computed matters; elsewhere its decisions do not count."""
 
@@ -107,7 +108,8 @@ class FastTape:
     def underflow(self, name: str, x: Dual) -> Dual:
         """x, or 0 where it may underflow and is chosen (by `flip`) to be lost."""
         lost = (x.value > 0) & (x.value < self.smallest) & self.active
-        self.kinks[name] = np.where(np.broadcast_to(lost, (self.columns.count,)), 0.0, np.inf)
+        if np.any(lost):
+            self.powers_lost.append(name)
         return select(lost, self.constant(0), x) if name in self.flip else x
 
     def length(

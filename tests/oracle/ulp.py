@@ -3,7 +3,8 @@
 Inputs: a number moves to its two neighbours in the format; a zero (and an infinity) stays; a subnormal number may
 also become zero, because processors may flush it. Outputs: one ulp is the distance from the float nearest to the
 exact value to the next larger one, and never less than the smallest normal number: a factor or a term below that may
-be flushed to zero on the way, so that a flushed result is less than one ulp off. Values beyond the largest finite number have no ulp; what is left to ask is finiteness.
+be flushed to zero on the way, and is then less than one ulp off. Values beyond the largest finite number have no ulp;
+what is left to ask is finiteness.
 """
 
 from __future__ import annotations
