@@ -387,10 +387,16 @@ def test_gradcheck_fails_where_the_tolerance_is_not_met(run) -> None:
 
 def test_ctrl_c_ends_with_130_and_one_line(run) -> None:
     code = """
-import os, signal, sys, threading
+import os, signal, sys, time
+import jaxlight
 from jaxlight.cli import main
-threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
-sys.exit(main("render scene.x3d --output a.png --width 4000 --height 4000 --samples 16".split()))
+
+def long_work(*args, **options):
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(10)
+
+jaxlight.rasterize = long_work
+sys.exit(main("render scene.x3d --output a.png".split()))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert done.returncode == 130
