@@ -1,0 +1,224 @@
+"""The lighting equation against the float64 oracle: every row of the colour tables, field, fog case and reading."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from cases_to_scenes import options_of, scene_and_sample, scenes_and_samples, structure
+from fit_scenes import precision
+from jaxlight import Scene, nodes, shade
+from jaxlight.raster import SampleBuffer
+from oracle import equation
+from oracle.case import Case, Fog, Light, Material, Options, Sample
+from oracle.cases import random_cases
+from oracle.fast_exact import values
+
+TOLERANCE = {"float64": 1e-12, "float32": 2e-5}
+
+SAMPLE = Sample(position=(0.25, -0.5, 0.125), normal=(0.25, 0.5, 1.5), eye=(0.5, 1.0, 6.0))
+BODY = Material(
+    ambient_intensity=0.25,
+    diffuse_color=(0.75, 0.5, 0.25),
+    emissive_color=(0.0625, 0.03125, 0.125),
+    shininess=0.125,
+    specular_color=(0.5, 0.625, 0.375),
+    transparency=0.25,
+)
+LAMP = Light(
+    kind="point",
+    ambient_intensity=0.5,
+    attenuation=(0.5, 0.25, 0.0625),
+    color=(1.0, 0.75, 0.5),
+    intensity=0.75,
+    location=(1.5, 1.0, 3.0),
+)
+SUN = Light(kind="directional", ambient_intensity=0.25, color=(0.5, 1.0, 0.75), direction=(-1.0, 0.5, -2.0))
+# The sample is seen 0.45 rad off the axis.
+SPOT = dataclasses.replace(LAMP, kind="spot", direction=(-0.75, -0.75, -1.0), beam_width=0.25, cut_off_angle=0.75)
+# 2 x scale, turned about x, moved; and one that scales unevenly and mirrors.
+SIMILAR = ((2.0, 0.0, 0.0, 0.5), (0.0, 0.0, -2.0, 0.25), (0.0, 2.0, 0.0, -0.5))
+UNEVEN = ((1.5, 0.25, 0.0, 0.5), (0.0, -0.75, 0.5, 0.25), (0.25, 0.0, 2.0, -0.5))
+HAZE = Fog(color=(0.5, 0.625, 0.75), fog_type="LINEAR", visibility_range=12.0)
+COLORS = {"none": None, "rgb": (0.25, 0.75, 0.5), "rgba": (0.25, 0.75, 0.5, 0.625)}
+TEXELS = {0: None, 1: (0.5,), 2: (0.5, 0.75), 3: (0.25, 0.5, 0.75), 4: (0.25, 0.5, 0.75, 0.375)}
+
+
+def case(*lights: Light, sample: Sample = SAMPLE, material: Material | None = BODY, **rest: Any) -> Case:
+    return Case(sample=sample, material=material, lights=lights, **rest)
+
+
+def tables() -> Iterator[tuple[str, Case]]:
+    """Tables 17.2 and 17.3 with both texture modes, and what lines and points show."""
+    kinds = itertools.product(("lit", "unlit", "line"), TEXELS, COLORS, ("replace", "modulate"))
+    for kind, components, color, mode in kinds:
+        if (mode == "modulate" and components < 2) or (kind == "line" and components not in (0, 3)):
+            continue  # the mode is read for alpha and RGB textures only, and lines show no texture
+        yield (
+            f"{kind}-{components}-{color}-{mode}",
+            case(
+                LAMP,
+                sample=dataclasses.replace(SAMPLE, texel=TEXELS[components], color=COLORS[color]),
+                material=None if kind == "unlit" else BODY,
+                options=Options(texture_mode=mode),  # type: ignore[arg-type]  # one of the two
+                line_or_point=kind == "line",
+            ),
+        )
+    yield "line without material", case(LAMP, material=None, line_or_point=True)
+
+
+def fields() -> Iterator[tuple[str, Case]]:
+    """Every field of every light, material and fog; readings 4 to 30 where they concern the equation."""
+    changes: dict[str, Any] = {
+        "ambient_intensity": 0.875,
+        "attenuation": (1.0, 0.5, 0.25),
+        "color": (0.125, 0.25, 1.0),
+        "intensity": 0.25,
+        "location": (-1.0, 2.0, 2.5),
+        "direction": (-0.5, -1.0, -1.25),
+        "beam_width": 0.4375,
+        "cut_off_angle": 0.625,
+        "radius": 3.75,
+        "on": False,
+        "in_scope": False,
+    }
+    for light in (SUN, LAMP, SPOT):
+        yield light.kind, case(light)
+        for name, value in changes.items():
+            yield f"{light.kind}.{name}", case(dataclasses.replace(light, **{name: value}), SUN)
+        for name, frame in {"similarity": SIMILAR, "uneven": UNEVEN}.items():
+            yield f"{light.kind} in a {name} frame", case(dataclasses.replace(light, frame=frame))
+        for level in (1, 2, 3):
+            options = Options(support_level=level)  # type: ignore[arg-type]  # one of the three
+            yield (
+                f"{light.kind} at level {level}",
+                case(light, dataclasses.replace(SUN, in_scope=False), options=options),
+            )
+    for name in ("ambient_intensity", "diffuse_color", "emissive_color", "shininess", "specular_color", "transparency"):
+        value = getattr(BODY, name)
+        less = tuple(x / 2 for x in value) if isinstance(value, tuple) else value / 2
+        yield f"material.{name}", case(LAMP, SUN, material=dataclasses.replace(BODY, **{name: less}))
+    behind = dataclasses.replace(LAMP, location=(4.0, 3.0, -1.5))
+    for gate in (False, True):
+        yield f"specular_gate={gate}", case(behind, options=Options(specular_gate=gate))
+    yield "shininess 0", case(LAMP, material=dataclasses.replace(BODY, shininess=0.0))
+    yield (
+        "shininess 0, highlight behind",
+        case(dataclasses.replace(SUN, direction=(0.0, 0.0, 5.0)), material=dataclasses.replace(BODY, shininess=0.0)),
+    )
+    yield "attenuation (0, 0, 0)", case(dataclasses.replace(LAMP, attenuation=(0.0, 0.0, 0.0)))
+    yield "attenuation below 1", case(dataclasses.replace(LAMP, attenuation=(0.25, 0.0, 0.0)))
+    yield "radius 0", case(dataclasses.replace(LAMP, radius=0.0))
+    yield "intensity 0 keeps the ambient term", case(dataclasses.replace(LAMP, intensity=0.0))
+    yield "beam wider than cone", case(dataclasses.replace(SPOT, beam_width=math.pi / 2, cut_off_angle=math.pi / 4))
+    yield "beam equal to cone, outside", case(dataclasses.replace(SPOT, beam_width=0.25, cut_off_angle=0.25))
+    yield "normal of zero", case(LAMP, sample=dataclasses.replace(SAMPLE, normal=(0.0, 0.0, 0.0)))
+    yield "viewer at the sample", case(LAMP, sample=dataclasses.replace(SAMPLE, eye=SAMPLE.position))
+    yield "light at the sample", case(dataclasses.replace(LAMP, location=SAMPLE.position))
+    yield "above 1", case(LAMP, SUN, SPOT, material=dataclasses.replace(BODY, emissive_color=(1.0, 1.0, 1.0)))
+    yield "no light", case()
+
+
+def fogs() -> Iterator[tuple[str, Case]]:
+    """Table 17.5, frames, and fog on unlit shapes."""
+    for kind, visibility, frame in itertools.product(("LINEAR", "EXPONENTIAL"), (12.0, 4.0, 0.0, -1.0), (None, UNEVEN)):
+        fog = dataclasses.replace(HAZE, fog_type=kind, visibility_range=visibility, frame=frame)
+        yield f"{kind} {visibility} {'uneven' if frame else 'world'}", case(LAMP, fog=fog)
+    for unlit in (True, False):
+        yield f"fog_unlit={unlit}", case(material=None, fog=HAZE, options=Options(fog_unlit=unlit))
+
+
+CASES = dict(itertools.chain(tables(), fields(), fogs()))
+
+
+def answers(cases: Sequence[Case], dtype: Any) -> np.ndarray:
+    """Colour and alpha [cases, 4] of cases of one structure, evaluated operation by operation.
+
+    Compiling so many different programs would take minutes.
+    """
+    scenes, samples = scenes_and_samples(cases, dtype)
+    with jax.disable_jit():
+        return np.asarray(jax.vmap(lambda s, b: shade(s, b, options_of(cases[0]))[0])(scenes, samples), np.float64)
+
+
+@functools.cache
+def answers_of_structure(shape: tuple, bits: str) -> dict[str, np.ndarray]:
+    """The answers to all of CASES that have this structure, by name."""
+    names = [name for name, one in CASES.items() if structure(one) == shape]
+    with precision(bits) as dtype:
+        return dict(zip(names, answers([CASES[name] for name in names], dtype), strict=True))
+
+
+@pytest.mark.parametrize("bits", TOLERANCE)
+@pytest.mark.parametrize("name", CASES)
+def test_the_equation_is_the_specifications(name: str, bits: str) -> None:
+    one = CASES[name]
+    rgb, alpha = equation.shade(one)
+    got = answers_of_structure(structure(one), bits)[name]
+    np.testing.assert_allclose(got, [*rgb, alpha], rtol=TOLERANCE[bits], atol=TOLERANCE[bits] * 1e-3)
+
+
+@pytest.mark.parametrize("bits", TOLERANCE)
+def test_random_scenes_compiled(bits: str) -> None:
+    """Random well-conditioned cases, compiled, and compared with the operations one by one."""
+    cases = random_cases(20, 60)
+    good = values(cases, 64 if bits == "float64" else 32).well_conditioned
+    assert good.sum() > 50
+    by_shape = {str(options_of(one)) + str(len(one.lights)): one for one, fine in zip(cases, good, strict=True) if fine}
+    with precision(bits) as dtype:
+        for one in list(by_shape.values())[:6]:
+            scene, samples = scene_and_sample(one, dtype)
+            compiled = np.asarray(shade(scene, samples, options_of(one))[0], dtype=np.float64)
+            rgb, alpha = equation.shade(one)
+            np.testing.assert_allclose(compiled, [*rgb, alpha], rtol=50 * TOLERANCE[bits], atol=TOLERANCE[bits])
+            np.testing.assert_allclose(compiled, answers([one], dtype)[0], rtol=TOLERANCE[bits], atol=TOLERANCE[bits])
+
+
+def test_scene_of_nodes() -> None:
+    """The public way: nodes, transforms, scopes and two surfaces in one buffer, by the same oracle."""
+    body = nodes.Material(**{f.name: getattr(BODY, f.name) for f in dataclasses.fields(BODY)})
+    shape = nodes.Shape(appearance=nodes.Appearance(material=body))
+    own = nodes.PointLight(
+        location=LAMP.location, attenuation=LAMP.attenuation, color=LAMP.color, intensity=0.75, global_=False
+    )
+    room = nodes.Transform(translation=(0.5, 0.25, -0.5), scale=(2.0, 2.0, 2.0), children=[shape, own])
+    sun = nodes.DirectionalLight(direction=SUN.direction, color=SUN.color, ambient_intensity=0.25, global_=True)
+    outside = nodes.Shape(appearance=nodes.Appearance(material=body))
+    frame = ((2.0, 0.0, 0.0, 0.5), (0.0, 2.0, 0.0, 0.25), (0.0, 0.0, 2.0, -0.5))
+    lamp = dataclasses.replace(LAMP, ambient_intensity=0.0, frame=frame)
+    with precision("float64"):
+        scene = Scene.from_nodes([room, outside, sun])
+        samples = SampleBuffer.create([SAMPLE.position] * 2, [SAMPLE.normal] * 2, SAMPLE.eye, surface=np.array([1, 0]))
+        got = np.asarray(shade(scene, samples))
+    for row, lights in zip(got, [(dataclasses.replace(lamp, in_scope=False), SUN), (lamp, SUN)], strict=True):
+        rgb, alpha = equation.shade(case(*lights))
+        np.testing.assert_allclose(row, [*rgb, alpha], rtol=1e-12)
+
+
+@pytest.mark.parametrize("count", [3, 1000, 40_000])
+def test_batch_size_changes_nothing(count: int) -> None:
+    """200 x 200 flat pixels and fewer: some releases of JAX compute thousands of wrong rows at this size."""
+    random = np.random.default_rng(count)
+    body = nodes.Material(specular_color=(0.5, 0.5, 0.5), shininess=0.3)
+    scene = Scene.from_nodes(
+        [nodes.Shape(appearance=nodes.Appearance(material=body)), nodes.PointLight(location=(1.0, 2.0, 3.0))]
+    )
+    position, normal = random.normal(size=(count, 3)), random.normal(size=(count, 3))
+    got = np.asarray(shade(scene, SampleBuffer.create(position, normal, (0.0, 0.0, 9.0))))
+    for i in random.integers(0, count, 20):
+        one = Case(
+            sample=Sample(position=tuple(position[i]), normal=tuple(normal[i]), eye=(0.0, 0.0, 9.0)),
+            material=Material(specular_color=(0.5, 0.5, 0.5), shininess=0.3),
+            lights=(Light(kind="point", location=(1.0, 2.0, 3.0)),),
+        )
+        np.testing.assert_allclose(got[i, :3], equation.shade(one)[0], rtol=2e-4, atol=2e-6)
+    alone = np.asarray(shade(scene, SampleBuffer.create(position[:3], normal[:3], (0.0, 0.0, 9.0))))
+    np.testing.assert_allclose(got[:3], alone, rtol=1e-6)
