@@ -102,3 +102,16 @@ def test_the_recipes_and_notebooks_are_all_listed() -> None:
     listed = set(re.findall(r"^\| `((?:fitting|notebooks)/\w+\.py)` \|", README, re.M))
     there = [*ROOT.glob("fitting/[0-9]*.py"), *ROOT.glob("notebooks/*.py")]
     assert listed == {path.relative_to(ROOT).as_posix() for path in there}
+
+
+def test_the_readings_name_cases_of_the_equation() -> None:
+    from test_equation import CASES
+
+    text = (ROOT / "docs" / "readings.md").read_text()
+    names = re.findall(r"case `([^`]+)`", text)
+    assert len(names) > 20
+    assert [name for name in names if name not in CASES] == []
+    rows = re.findall(r"^\| \d+ \|.*", text, re.M)
+    assert len(rows) == 30
+    for row in rows:
+        assert re.search(r"`[\w/]+\.py::\w+`.*(case `|`tests/)", row), row

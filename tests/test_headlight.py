@@ -1,0 +1,39 @@
+"""The browser's headlight: white light along the view for scenes that have no light of their own (X3D 23.4.4)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jaxlight import Camera, Scene, nodes, rasterize, shade
+
+BALL = nodes.Shape(
+    appearance=nodes.Appearance(material=nodes.Material(diffuse_color=(0.5, 0.25, 1.0), ambient_intensity=1.0)),
+    geometry=nodes.Sphere(),
+)
+
+
+@pytest.mark.parametrize("eye", [(0.0, 0.0, 5.0), (4.0, 3.0, 0.0), (-2.0, -3.0, -4.0)])
+def test_a_scene_without_lights_is_lit_along_the_view(eye: tuple[float, float, float]) -> None:
+    scene = Scene.from_nodes([BALL])
+    samples = rasterize(scene, Camera.look_at(eye, (0, 0, 0)), 32, 32)
+    towards = np.array(eye) / np.linalg.norm(eye)
+    facing = np.maximum(np.asarray(samples.normal, np.float64) @ towards, 0)
+    expected = facing[:, None] * [0.5, 0.25, 1.0]
+    np.testing.assert_allclose(np.asarray(shade(scene, samples))[:, :3], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [nodes.NavigationInfo(headlight=False), nodes.PointLight(on=False), nodes.DirectionalLight(color=(0, 0, 0))],
+)
+def test_there_is_none_with_lights_or_where_navigation_info_says_so(other: nodes.Node) -> None:
+    scene = Scene.from_nodes([BALL, other])
+    samples = rasterize(scene, Camera.look_at((0, 0, 5), (0, 0, 0)), 16, 16)
+    np.testing.assert_array_equal(np.asarray(shade(scene, samples))[:, :3], 0)
+
+
+def test_the_first_navigation_info_counts() -> None:
+    infos = [nodes.NavigationInfo(headlight=True), nodes.NavigationInfo(headlight=False)]
+    assert Scene.from_nodes([BALL, *infos]).directional is not None
+    assert Scene.from_nodes([BALL, *reversed(infos)]).directional is None
