@@ -42,8 +42,8 @@ LAMP = Light(
     location=(1.5, 1.0, 3.0),
 )
 SUN = Light(kind="directional", ambient_intensity=0.25, color=(0.5, 1.0, 0.75), direction=(-1.0, 0.5, -2.0))
-# The sample is seen 0.45 rad off the axis.
-SPOT = dataclasses.replace(LAMP, kind="spot", direction=(-0.75, -0.75, -1.0), beam_width=0.25, cut_off_angle=0.75)
+# The sample is seen 0.22 rad off the axis: on the ramp.
+SPOT = dataclasses.replace(LAMP, kind="spot", direction=(-0.75, -0.75, -1.0), beam_width=0.125, cut_off_angle=0.75)
 # 2 x scale, turned about x, moved; and one that scales unevenly and mirrors.
 SIMILAR = ((2.0, 0.0, 0.0, 0.5), (0.0, 0.0, -2.0, 0.25), (0.0, 2.0, 0.0, -0.5))
 UNEVEN = ((1.5, 0.25, 0.0, 0.5), (0.0, -0.75, 0.5, 0.25), (0.25, 0.0, 2.0, -0.5))
@@ -84,7 +84,7 @@ def fields() -> Iterator[tuple[str, Case]]:
         "intensity": 0.25,
         "location": (-1.0, 2.0, 2.5),
         "direction": (-0.5, -1.0, -1.25),
-        "beam_width": 0.4375,
+        "beam_width": 0.1875,
         "cut_off_angle": 0.625,
         "radius": 3.75,
         "on": False,
@@ -119,7 +119,7 @@ def fields() -> Iterator[tuple[str, Case]]:
     yield "radius 0", case(dataclasses.replace(LAMP, radius=0.0))
     yield "intensity 0 keeps the ambient term", case(dataclasses.replace(LAMP, intensity=0.0))
     yield "beam wider than cone", case(dataclasses.replace(SPOT, beam_width=math.pi / 2, cut_off_angle=math.pi / 4))
-    yield "beam equal to cone, outside", case(dataclasses.replace(SPOT, beam_width=0.25, cut_off_angle=0.25))
+    yield "beam equal to cone, outside", case(dataclasses.replace(SPOT, beam_width=0.125, cut_off_angle=0.125))
     yield "normal of zero", case(LAMP, sample=dataclasses.replace(SAMPLE, normal=(0.0, 0.0, 0.0)))
     yield "viewer at the sample", case(LAMP, sample=dataclasses.replace(SAMPLE, eye=SAMPLE.position))
     yield "light at the sample", case(dataclasses.replace(LAMP, location=SAMPLE.position))
