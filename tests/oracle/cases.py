@@ -29,6 +29,14 @@ def random_cases(seed: int, count: int) -> list[Case]:
     return cases
 
 
+def random_block(seed: int, block: int, count: int, shapes: int = 12) -> list[Case]:
+    """As `random_cases`, in numbered blocks that all have the same few shapes, so that few programs are compiled."""
+    rng = np.random.default_rng([seed, 1])
+    drawn = [_random_shape(rng, i) for i in range(shapes)]
+    rng = np.random.default_rng([seed, 3, block])
+    return [_fill(rng, drawn[i % shapes], f"random[{block}.{i}]") for i in range(count)]
+
+
 def well_conditioned_cases(seed: int, count: int, precision: int = 32) -> list[Case]:
     """`count` random cases that are well-conditioned in this precision (see `condition`)."""
     found: list[Case] = []

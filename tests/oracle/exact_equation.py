@@ -174,10 +174,9 @@ def modified_power(tape: Tape, i: int, base: Dual) -> Dual:
     """max(base, 0)^(128 shininess); 0^0 = 1 [17]."""
     exponent = tape.number("material", "shininess") * 128
     n, x = exponent.value, base.value
-    # Below exponent 1 the power meets zero with an infinite slope. Up to 6, derivatives at zero have no condition:
-    # n x^(n-1) and x^n log x are larger than what underflows when x is one ulp of 1.
-    if n <= 6:
-        tape.compare(f"lights[{i}].power at 0", "cone", base)
+    # Below exponent 1 the power meets zero with an infinite slope. Above it derivatives at zero have no condition: they
+    # are 0, with n x^(n-1) and x^n log x just beside.
+    tape.compare(f"lights[{i}].power at 0", "cone", base)
     positive = tape.compare(f"lights[{i}].n_h", "kink", base) if n == 1 else x > 0
     if positive and x > 0:
         power = exp(exponent * log(base))

@@ -279,11 +279,12 @@ def radius_edge(rng: Rng) -> Point:
 
 @family
 def dead_light(rng: Rng) -> Point:
-    """A light that is off and holds NaN and Inf beside one that is on."""
+    """A light that is off and holds NaN and Inf beside one of its kind that is on."""
     bad = float(rng.choice([math.nan, math.inf, -math.inf, 3e38]))
     three = (bad, bad, bad)
+    kind = str(rng.choice(KINDS))
     dead = Light(
-        kind=str(rng.choice(KINDS)),  # type: ignore[arg-type]
+        kind=kind,  # type: ignore[arg-type]
         ambient_intensity=bad,
         attenuation=three,
         beam_width=bad,
@@ -295,7 +296,7 @@ def dead_light(rng: Rng) -> Point:
         radius=bad,
         on=False,
     )
-    case = Setting(rng).case(kind=str(rng.choice(KINDS)))
+    case = Setting(rng).case(kind=kind)
     return replace(case, lights=(dead, *case.lights) if rng.random() < 0.5 else (*case.lights, dead)), None
 
 

@@ -148,18 +148,22 @@ def dots(tape: FastTape, i: int, toward: Vector) -> tuple[Dual, Dual]:
     positive = tape.decide("jump" if gate else "kink", n_l.value, n_l.gradient, name=f"lights[{i}].n_l")
     if gate:
         tape.active = tape.active & positive
-    power = modified_power(tape, i, n_h)
+    apart = minus(times(n, inverse_n), times(half, inverse_h))
+    power = modified_power(tape, i, n_h, sum(side.value**2 for side in apart) / 2)
     return select(positive, n_l, none), select(positive, power, none) if gate else power
 
 
-def modified_power(tape: FastTape, i: int, base: Dual) -> Dual:
-    """max(base, 0)^(128 shininess); 0^0 = 1 [17]."""
+def modified_power(tape: FastTape, i: int, base: Dual, versine: np.ndarray) -> Dual:
+    """max(base, 0)^(128 shininess); 0^0 = 1 [17]. `versine`: 1 - base with all its digits."""
     exponent = tape.number("material", "shininess") * 128
     n, x = exponent.value, base.value
     positive = x > 0
-    power = exp(exponent * log(base.map_value(np.where(positive, x, WIDE(1)))))
+    logarithm = log(base.map_value(np.where(positive, x, WIDE(1))))
+    near = positive & (versine < 0.25)
+    logarithm = logarithm.map_value(np.where(near, np.log1p(-np.where(near, versine, 0)), logarithm.value))
+    power = exp(exponent * logarithm)
     power = tape.underflow(f"lights[{i}].power", power)
-    tape.decide("cone", x, base.gradient, where=n <= 6)
+    tape.decide("cone", x, base.gradient)
     straight = tape.decide("kink", x, base.gradient, name=f"lights[{i}].n_h", where=n == 1)
     beyond = select(n == 1, base, Dual(np.where(n == 0, WIDE(1), WIDE(0))))
     power = select(positive, power, beyond)
