@@ -1,5 +1,6 @@
 """The lighting equation on sample buffers: pure, jitted, differentiable."""
 
+from . import release as release
 from .options import LightingOptions as LightingOptions
 from .plan import Plan as Plan
 from .plan import make_plan as make_plan
