@@ -72,3 +72,20 @@ def test_no_gradient_no_step() -> None:
     found = minimise_in_box(jnp.eye(3), jnp.zeros(3), -jnp.ones(3), jnp.ones(3))
     np.testing.assert_array_equal(found.point, np.zeros(3))
     assert bool(found.solved)
+
+
+def test_large_boxes_that_start_on_their_bounds_are_solved() -> None:
+    """A bound whose own slope leads inwards can be in the way of the Newton step; the conditions of a minimum tell."""
+    with precision("float64") as dtype:
+        random = np.random.default_rng(0)
+        for number in range(150):
+            jacobian = (random.normal(size=(20, 12)) * np.logspace(0, -2, 12)) @ random.normal(size=(12, 12))
+            scale = np.linalg.norm(jacobian, axis=0)
+            hessian = (jacobian / scale).T @ (jacobian / scale)
+            gradient = 5 * random.normal(size=12)
+            lower, upper = (sign * random.random(12) * (random.random(12) > 0.3) for sign in (-1, 1))
+            found = minimise_in_box(*(jnp.asarray(a, dtype) for a in (hessian, gradient, lower, upper)))
+            assert bool(found.solved), f"box {number}"
+            point = np.asarray(found.point)
+            downhill = np.clip(point - hessian @ point - gradient, lower, upper) - point
+            assert np.abs(downhill).max() < 1e-11, f"box {number}"

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+HALVINGS = tuple(0.5**k for k in range(8))
+
 
 class BoxMinimum(NamedTuple):
-    """The point found, and whether the conditions of a minimum hold there to rounding."""
+    """The point found, and whether the conditions of a minimum hold there to the tolerance."""
 
     point: Float[Array, " n"]
     solved: Bool[Array, ""]
+
+
+class _Trial(NamedTuple):
+    point: Float[Array, " n"]
+    image: Float[Array, " n"]
+    """H times the point."""
+    value: Float[Array, ""]
 
 
 class _State(NamedTuple):
@@ -26,53 +36,96 @@ class _State(NamedTuple):
 def minimise_in_box(
     hessian: Float[Array, "n n"], gradient: Float[Array, " n"], lower: Float[Array, " n"], upper: Float[Array, " n"]
 ) -> BoxMinimum:
-    """argmin of 1/2 z^T H z + g^T z subject to lower <= z <= upper, for H positive definite and well scaled.
+    """argmin of 1/2 z^T H z + g^T z subject to lower <= z <= upper, for a matrix H with unit diagonal or larger."""
+    size = gradient.shape[0]
+
+    def product(point: Array) -> Array:
+        return jnp.matmul(hessian, point, precision="highest")
+
+    def solve_free(right: Array, free: Array) -> Array:
+        both = free[:, None] & free[None, :]
+        system = jnp.where(both, hessian, jnp.eye(size, dtype=hessian.dtype))
+        factor = jax.scipy.linalg.cho_factor(system, lower=True)
+        return jax.scipy.linalg.cho_solve(factor, jnp.where(free, right, 0))
+
+    return minimise_quadratic(product, solve_free, gradient, lower, upper, rounds=4 * size + 8)
+
+
+def minimise_quadratic(
+    product: Callable[[Array], Array],
+    solve_free: Callable[[Array, Array], Array],
+    gradient: Float[Array, " n"],
+    lower: Float[Array, " n"],
+    upper: Float[Array, " n"],
+    *,
+    rounds: int,
+    fractions: Sequence[float] = HALVINGS,
+    tolerance: float = 0.0,
+) -> BoxMinimum:
+    """argmin of 1/2 z^T H z + g^T z subject to lower <= z <= upper, H given by what it does.
 
     Projected Newton (Bertsekas 1982): hold the variables that press against a bound, solve for the others, follow the
     projected path and keep the best of a few points on it; the first bound met on the way is always among them, so
-    the quadratic falls in every round and the set of held variables settles after a few. Where H is singular to the
-    precision at hand, the round falls back to the steepest descent; the point is then still an improvement.
+    the quadratic falls in every round and the set of held variables settles after a few. Where no part of that path
+    leads down, and where H is singular to the precision at hand, the round falls back to the steepest descent; the
+    point is then still an improvement.
 
     Args:
-        hessian: H, unit diagonal or larger.
-        gradient: g.
+        product: z -> H z.
+        solve_free: (right, free) -> z with (H z)_free = right_free and z = 0 elsewhere.
+        gradient: g, in variables in which H has a diagonal of about 1.
         lower, upper: the box; it contains 0.
+        rounds: at most.
+        fractions: of the Newton step that are tried.
+        tolerance: of the slope that may be left, relative to g; rounding is always allowed.
     """
     eps = jnp.finfo(gradient.dtype).eps
     size = gradient.shape[0]
-    fractions = 0.5 ** jnp.arange(8, dtype=gradient.dtype)
 
-    def slope(point: Array) -> Array:
-        return jnp.matmul(hessian, point, precision="highest") + gradient
+    def value(point: Array, image: Array) -> Array:
+        return jnp.vdot(point, image / 2 + gradient, precision="highest")
 
-    def value(point: Array) -> Array:
-        return jnp.vdot(point, slope(point) + gradient, precision="highest") / 2
-
-    def improve(state: _State) -> _State:
-        point, grad = state.point, slope(state.point)
-        held = ((point <= lower) & (grad > 0)) | ((point >= upper) & (grad < 0))
-        move = _solve_free(hessian, -grad, ~held)
-        move = jnp.where(held, 0, jnp.where(jnp.all(jnp.isfinite(move)), move, -grad))
+    def best_along(point: Array, move: Array, length: Array | float) -> _Trial:
+        """The lowest of some points on the path from `point` along `length` x `move`, bent by the box."""
         room = jnp.where(move > 0, upper - point, lower - point)
         limit = jnp.min(jnp.where(move != 0, room / jnp.where(move != 0, move, 1), jnp.inf))
-        lengths = jnp.concatenate([fractions, jnp.minimum(limit, 1)[None]])
-        trials = jnp.clip(point + lengths[:, None] * move, lower, upper)
-        values = jax.vmap(value)(trials)
+        lengths = jnp.concatenate([length * jnp.asarray(fractions, move.dtype), jnp.minimum(limit, length)[None]])
+        points = jnp.clip(point + lengths[:, None] * move, lower, upper)
+        images = jax.lax.map(product, points)
+        values = jax.vmap(value)(points, images)
         best = jnp.argmin(jnp.where(jnp.isnan(values), jnp.inf, values))
-        better = values[best] < value(point)
-        point = jnp.where(better, trials[best], point)
-        left = jnp.clip(point - slope(point), lower, upper) - point
-        rounding = 8 * eps * (jnp.max(jnp.abs(gradient)) + size * jnp.max(jnp.abs(point)))
-        return _State(point, state.round + 1, jnp.max(jnp.abs(left)) <= rounding, ~better)
+        return _Trial(points[best], images[best], values[best])
+
+    def newton(grad: Array, held: Array) -> Array:
+        """The Newton step of the variables that are not held; downhill where H is singular to the precision at hand."""
+        move = solve_free(-grad, ~held)
+        return jnp.where(held, 0, jnp.where(jnp.all(jnp.isfinite(move)), move, -grad))
+
+    def steepest(grad: Array, held: Array) -> tuple[Array, Array]:
+        """The direction of steepest descent among the variables that are not held, and how far its minimum lies."""
+        move = jnp.where(held, 0, -grad)
+        bend = jnp.vdot(move, product(move), precision="highest")
+        return move, jnp.vdot(move, move, precision="highest") / jnp.where(bend > 0, bend, 1)
+
+    def improve(state: _State) -> _State:
+        point = state.point
+        image = product(point)
+        grad = image + gradient
+        held = ((point <= lower) & (grad > 0)) | ((point >= upper) & (grad < 0))
+        move = newton(grad, held)
+        # A bound whose own slope leads inwards may still be in the way of the Newton step: then it is held as well.
+        out = ((point <= lower) & (move < 0)) | ((point >= upper) & (move > 0))
+        move = jax.lax.cond(jnp.any(out), lambda: newton(grad, held | out), lambda: move)
+        here = value(point, image)
+        best = best_along(point, move, 1.0)
+        best = jax.lax.cond(best.value < here, lambda: best, lambda: best_along(point, *steepest(grad, held)))
+        better = best.value < here
+        point, image = jnp.where(better, best.point, point), jnp.where(better, best.image, image)
+        left = jnp.clip(point - image - gradient, lower, upper) - point
+        largest = jnp.max(jnp.abs(gradient))
+        enough = 8 * eps * (largest + size * jnp.max(jnp.abs(point))) + tolerance * largest
+        return _State(point, state.round + 1, jnp.max(jnp.abs(left)) <= enough, ~better)
 
     start = _State(jnp.zeros_like(gradient), jnp.zeros((), jnp.int32), jnp.array(False), jnp.array(False))
-    end = jax.lax.while_loop(lambda s: ~s.solved & ~s.stuck & (s.round < 4 * size + 8), improve, start)
+    end = jax.lax.while_loop(lambda s: ~s.solved & ~s.stuck & (s.round < rounds), improve, start)
     return BoxMinimum(end.point, end.solved)
-
-
-def _solve_free(matrix: Array, right: Array, free: Array) -> Array:
-    """Solution of the rows and columns in `free`; 0 elsewhere."""
-    both = free[:, None] & free[None, :]
-    system = jnp.where(both, matrix, jnp.eye(matrix.shape[0], dtype=matrix.dtype))
-    factor = jax.scipy.linalg.cho_factor(system, lower=True)
-    return jax.scipy.linalg.cho_solve(factor, jnp.where(free, right, 0))
