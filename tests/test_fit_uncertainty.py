@@ -178,7 +178,7 @@ def test_intervals_of_95_percent_cover_the_truth_as_often_as_they_say() -> None:
         solution = fit_all(problem, targets)
         values = np.asarray(solution.value)
         assert np.all(np.asarray(solution.state.terminate))
-        curvature = np.asarray(solution.state.curvature)
+        curvature = np.asarray(solution.state.curvature.matrix)
         freedom = description.residuals - len(truth)
         variance = 2 * np.asarray(solution.state.loss) / freedom
         deviations = np.sqrt(variance[:, None] * np.array([np.diagonal(np.linalg.inv(c)) for c in curvature]))

@@ -190,7 +190,7 @@ class _StepLines:
 
 def _numbers(result: Any) -> dict[str, Any]:
     """The fit as data that JSON can carry."""
-    parameters, known = result.problem.parameters, result.uncertainty
+    known = result.uncertainty
     return {
         "outcome": result.outcome,
         "message": result.message,
@@ -199,7 +199,7 @@ def _numbers(result: Any) -> dict[str, Any]:
         "values": {
             label: {"start": float(start), "fitted": float(value), "standard_error": _finite(float(error))}
             for label, start, value, error in zip(
-                result.labels, parameters.start, result.values, known.standard_error, strict=True
+                result.labels, result.start, result.values, known.standard_error, strict=True
             )
         },
         "cautions": known.messages(),
@@ -214,10 +214,10 @@ def _finite(value: float) -> float | None:
 
 def _summary(result: Any) -> str:
     """The fit for a person: how it ended, each number with its standard error, what to be careful about."""
-    start, known = result.problem.parameters.start, result.uncertainty
-    width = max(len(label) for label in result.labels)
+    known = result.uncertainty
+    width = max((len(label) for label in result.labels), default=0)
     lines = [result.message, f"  {'':<{width}}  {'start':>12}  {'fitted':>12}  {'+-':>9}"]
-    table = list(zip(result.labels, start, result.values, known.standard_error, strict=True))
+    table = list(zip(result.labels, result.start, result.values, known.standard_error, strict=True))
     for label, old, new, error in table[:MAX_ROWS]:
         lines.append(f"  {label:<{width}}  {float(old):>12.6g}  {float(new):>12.6g}  {float(error):>9.2g}")
     if len(table) > MAX_ROWS:

@@ -3,9 +3,9 @@
 from .fitting import Fit as Fit
 from .fitting import Step as Step
 from .fitting import fit as fit
+from .free import Free as Free
 from .gradients import GradientCheck as GradientCheck
 from .gradients import check_gradients as check_gradients
-from .parameters import Free as Free
 from .report import view_pictures as view_pictures
 from .report import write_report as write_report
 from .views import View as View

@@ -58,7 +58,7 @@ class Fit:
     exposure: np.ndarray
     """The exposure of each view."""
     values: np.ndarray
-    """The free numbers, in the order of `labels`."""
+    """The free numbers, in the order of `labels`; whole textures are in the scene."""
     labels: tuple[str, ...]
     loss: float
     rms: float
@@ -72,7 +72,12 @@ class Fit:
     @functools.cached_property
     def uncertainty(self) -> Uncertainty:
         """Standard errors, numbers at a bound, and what the pictures cannot tell, at the fitted values."""
-        return uncertainty(self.problem, self.description, self.values)
+        return uncertainty(self.problem, self.description, self.state.values)
+
+    @property
+    def start(self) -> np.ndarray:
+        """Where the free numbers began, in the order of `labels`."""
+        return np.asarray(self.problem.parameters.start)[: len(self.labels)]
 
     @property
     def converged(self) -> bool:
@@ -85,7 +90,7 @@ class Fit:
         return sum(step.accepted for step in self.history[1:])
 
     def value(self, path: str) -> np.ndarray:
-        """The fitted value of one free field, by its canonical path.
+        """The fitted value of one free field, by its canonical path; of a whole texture its colours.
 
         Raises:
             ValueError: the field was not free.
@@ -93,20 +98,26 @@ class Fit:
         for field in self.description.fields:
             if field.path == path:
                 return self.values[field.numbers].reshape(-1 if len(field.numbers) > 1 else ())
-        raise ValueError(f"{path!r} was not free; free: {', '.join(field.path for field in self.description.fields)}")
+        for block in self.problem.parameters.blocks:
+            if block.path == path:
+                return np.asarray(block.image(self.state.values))
+        free = [part.path for part in (*self.description.fields, *self.problem.parameters.blocks)]
+        raise ValueError(f"{path!r} was not free; free: {', '.join(free)}")
 
     def residual_image(self, view: int = 0) -> np.ndarray:
         """Weighted residual (model - target) of one view: [height, width, 3], NaN where nothing was seen; or [N, 3]."""
-        return residual_image(self.problem, self.values, view)
+        return residual_image(self.problem, self.state.values, view)
 
     def __str__(self) -> str:
         lines = [self.message]
-        width = max(len(label) for label in self.labels)
-        start = np.asarray(self.problem.parameters.start)
+        width = max((len(label) for label in self.labels), default=0)
         lower, upper = np.asarray(self.problem.parameters.lower), np.asarray(self.problem.parameters.upper)
         for i, (label, value) in enumerate(zip(self.labels, self.values, strict=True)):
             at_bound = "  (at its bound)" if value in (lower[i], upper[i]) else ""
-            lines.append(f"  {label:<{width}}  {start[i]:>12.6g} -> {value:>12.6g}{at_bound}")
+            lines.append(f"  {label:<{width}}  {self.start[i]:>12.6g} -> {value:>12.6g}{at_bound}")
+        for block in self.problem.parameters.blocks:
+            height, breadth, _ = block.shape
+            lines.append(f"  {block.path}: {height} x {breadth} texels")
         return "\n".join(lines)
 
 
@@ -194,7 +205,7 @@ def _steps(
 def describe_step(problem: Problem, description: Description, state: FitState, seconds: float) -> Step:
     """What the last evaluation did, on the host."""
     inner, parameters = state.solver, problem.parameters
-    norms = np.sqrt(np.maximum(np.diagonal(np.asarray(inner.curvature)), 0))
+    norms = np.sqrt(np.maximum(np.asarray(inner.curvature.diagonal()), 0))
     slope, values = np.asarray(inner.gradient), np.asarray(state.values)
     held = ((values <= np.asarray(parameters.lower)) & (slope > 0)) | (
         (values >= np.asarray(parameters.upper)) & (slope < 0)
@@ -230,7 +241,7 @@ def make_fit(
     return Fit(
         scene=dataclasses.replace(world.scene, document=description.document),
         exposure=np.asarray(world.exposure),
-        values=np.asarray(state.values),
+        values=np.asarray(state.values)[: problem.parameters.few],
         labels=tuple(description.labels),
         loss=value,
         rms=rms,

@@ -49,14 +49,23 @@ class Seen(NamedTuple):
     """Length of each column of the Jacobian."""
 
 
-def analyse(curvature: np.ndarray, held: np.ndarray) -> Seen:
+class Partner(NamedTuple):
+    """A texture whose texels answer to the numbers: what they do along a direction of the numbers."""
+
+    path: str
+    answers: np.ndarray
+    """[texels, numbers]: change of each texel when a number moves and the texels make up for it."""
+    texels: np.ndarray
+
+
+def analyse(curvature: np.ndarray, held: np.ndarray, scale: np.ndarray) -> Seen:
     """Sort the numbers by what a Gauss-Newton matrix says of them.
 
     Args:
-        curvature: J^T J in float64, priors included.
+        curvature: J^T J in float64, priors included, texels eliminated.
         held: True for numbers that press against a bound: they are taken as known.
+        scale: length of each column of the Jacobian, before texels were eliminated.
     """
-    scale = np.sqrt(np.maximum(np.diagonal(curvature), 0))
     unseen = ~(scale > 1e-12 * np.max(scale, initial=0)) & ~held
     use = np.flatnonzero(~unseen & ~held)
     scaled = curvature[np.ix_(use, use)] / (scale[use][:, None] * scale[use][None, :])
@@ -66,14 +75,20 @@ def analyse(curvature: np.ndarray, held: np.ndarray) -> Seen:
     return Seen(unseen, null, eigenvalues, scale)
 
 
-def ambiguities(seen: Seen, values: np.ndarray, labels: Sequence[str], fields: Sequence[FreeField]) -> list[Ambiguity]:
+def ambiguities(
+    seen: Seen,
+    values: np.ndarray,
+    labels: Sequence[str],
+    fields: Sequence[FreeField],
+    partners: Sequence[Partner] = (),
+) -> list[Ambiguity]:
     """The directions that cannot be told, each in as few numbers as possible, in words."""
     found = []
     for scaled in _sparse_basis(seen.null):
         direction = np.where(scaled == 0, 0, scaled / np.where(seen.scale > 0, seen.scale, 1))
         # The last number to move, a light's or an exposure's rather than a material's, moves up.
         direction *= np.sign(direction[np.flatnonzero(direction)[-1]]) / np.max(np.abs(direction))
-        found.append(_told(direction, values, labels, fields))
+        found.append(_told(direction, values, labels, fields, partners))
     return found
 
 
@@ -130,12 +145,18 @@ class _Part(NamedTuple):
     """Change relative to its value; infinite at 0."""
 
 
-def _told(direction: np.ndarray, values: np.ndarray, labels: Sequence[str], fields: Sequence[FreeField]) -> Ambiguity:
+def _told(
+    direction: np.ndarray,
+    values: np.ndarray,
+    labels: Sequence[str],
+    fields: Sequence[FreeField],
+    partners: Sequence[Partner],
+) -> Ambiguity:
     vector = _single_vector(direction, values, fields)
     if vector is not None:
         text = f"the length of {vector} is not seen: only where it points"
         return Ambiguity((vector,), direction, "direction", text)
-    parts = _parts(direction, values, labels, fields)
+    parts = [*_parts(direction, values, labels, fields), *_textures(direction, partners)]
     rising = [part for part in parts if part.change > 0]
     falling = [part for part in parts if part.change < 0]
     kept: Kept = "combination"
@@ -190,6 +211,18 @@ def _parts(
             parts.append(_Part(field.path, float(direction[own[0]]), float(relative[own[0]])))
         else:
             parts += [_Part(str(labels[n]), float(direction[n]), float(relative[n])) for n in own]
+    return parts
+
+
+def _textures(direction: np.ndarray, partners: Sequence[Partner]) -> list[_Part]:
+    """The textures that answer to a direction, each with its typical change."""
+    parts = []
+    for partner in partners:
+        change = partner.answers @ direction
+        moving = np.abs(change) > 1e-6 * np.max(np.abs(change), initial=1e-300)
+        if np.max(np.abs(change), initial=0) > 1e-6 and np.any(moving):
+            relative = np.median(change[moving] / np.where(partner.texels[moving] != 0, partner.texels[moving], np.inf))
+            parts.append(_Part(partner.path, float(np.median(change[moving])), float(relative)))
     return parts
 
 

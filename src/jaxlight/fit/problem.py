@@ -15,10 +15,12 @@ from jaxtyping import Array, Float
 from ..lighting import LightingOptions, make_plan
 from ..lighting.shade import check_samples
 from ..scene.flags import Flags
-from ..scene.paths import LIGHT_ATTRIBUTES
+from ..scene.paths import LIGHT_ATTRIBUTES, Leaf
 from ..scene.scene import Scene
-from .parameters import FreeField, Parameters, World, free_parameters
+from .free import free_parameters
+from .parameters import FreeField, Parameters, World
 from .residuals import LossKind
+from .sampling import TexelSampling, texel_sampling
 from .strides import UNLIMITED, Strides, stride_of
 from .views import View, ViewData, view_data
 
@@ -30,6 +32,8 @@ class Problem(eqx.Module):
     """The scene and exposures at the start; fields that are not free keep these values."""
     parameters: Parameters
     strides: Strides
+    sampling: tuple[TexelSampling, ...]
+    """Which texels of whole free textures each stack of views sees; empty if there are none."""
     views: tuple[ViewData, ...]
     """Views of the same structure are stacked along a leading axis."""
     count: Float[Array, ""]
@@ -37,6 +41,11 @@ class Problem(eqx.Module):
     loss_scale: Float[Array, ""]
     """Residual at which a robust loss turns from squares to tolerance."""
     loss_kind: LossKind = eqx.field(static=True)
+
+    @property
+    def rho(self) -> tuple[LossKind, Array]:
+        """The loss and its scale."""
+        return self.loss_kind, self.loss_scale
 
     def at(self, values: Float[Array, " parameters"]) -> World:
         """The world with the free numbers set to `values`."""
@@ -88,16 +97,18 @@ def make_problem(
     world = World(dataclasses.replace(scene, document=None), jnp.asarray([view.exposure for view in each], dtype=dtype))
     parameters, fields = free_parameters(world, free, names, dtype)
     data = [_planned(world, parameters, view_data(scene, view, row, dtype), options) for row, view in enumerate(each)]
-    labels = [""] * len(parameters.start)
+    labels = [""] * parameters.few
     for field in fields:
         for label, number in zip(field.labels, field.numbers.tolist(), strict=True):
             labels[number] = labels[number] or label
     count = sum(int(np.count_nonzero(np.asarray(one.root_weight))) * (3 // one.root_weight.shape[0]) for one in data)
+    stacks = _stack(data)
     problem = Problem(
         world=world,
         parameters=parameters,
         strides=_strides(scene, parameters, fields, each, dtype),
-        views=_stack(data),
+        sampling=texel_sampling(stacks, scene.surfaces, parameters.blocks),
+        views=stacks,
         count=jnp.asarray(count, dtype=dtype),
         loss_scale=jnp.asarray(1.0 if loss_scale is None else loss_scale, dtype=dtype),
         loss_kind=loss,
@@ -111,6 +122,7 @@ def _planned(world: World, parameters: Parameters, view: ViewData, options: Ligh
     scene = scene_of_view(world, view)
     check_samples(scene, view.samples)
     owners = {leaf.leaf for leaf in parameters.leaves if leaf.leaf is not None}
+    owners |= {Leaf("Texture", "image", block.texture) for block in parameters.blocks}
     free = [leaf.get(scene) for leaf in owners if getattr(scene, leaf.attribute) is not None]
     return dataclasses.replace(view, plan=make_plan(scene, view.samples, options, free=free))
 

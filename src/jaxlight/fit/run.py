@@ -52,6 +52,7 @@ def make_solver(problem: Problem, *, rtol: float | None = None, atol: float | No
         lower=parameters.lower,
         upper=parameters.upper,
         strides=problem.strides,
+        sampling=problem.sampling,
         freedom=jnp.maximum(problem.count - parameters.start.shape[0], 1),
     )
 

@@ -11,109 +11,24 @@ residuals never forms its Jacobian; without them they are taken from the residua
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from .box import minimise_in_box
+from .curvature import Curvature, as_curvature
+from .descent import BoxDampedNewton, DescentState, Operator
+from .search import GainRatio, SearchState
 from .strides import Strides
 
 MAX_DAMPING = 1e8
 KINK_DAMPING = 1e3
 KINK_OFFSET = 0.1
-
-
-class DescentState(eqx.Module):
-    """The quadratic model in scaled variables, and the largest column norms met so far."""
-
-    point: Float[Array, " n"]
-    gradient: Float[Array, " n"]
-    curvature: Float[Array, "n n"]
-    scale: Float[Array, " n"]
-
-
-class BoxDampedNewton(optx.AbstractDescent):
-    """argmin of g^T d + 1/2 d^T (H + D^2 / step_size) d with lower <= x + d <= upper.
-
-    D^2 is the running maximum of diag H (Marquardt, More); `lower` and `upper` are arrays
-    (-inf and inf where there is no bound).
-    """
-
-    lower: Float[Array, " n"]
-    upper: Float[Array, " n"]
-    strides: Strides
-
-    def init(self, y: Array, f_info_struct: Any) -> DescentState:
-        zeros = jnp.zeros_like(y)
-        return DescentState(zeros, zeros, jnp.zeros((y.shape[0], y.shape[0]), y.dtype), zeros)
-
-    def query(self, y: Array, f_info: Any, state: DescentState) -> DescentState:
-        curvature = f_info.hessian.as_matrix()
-        scale = jnp.maximum(state.scale, jnp.sqrt(jnp.maximum(jnp.diagonal(curvature), 0)))
-        return DescentState(y, f_info.grad, curvature, scale)
-
-    def step(self, step_size: Array, state: DescentState) -> tuple[Array, Any]:
-        below, above = self.strides.limits(state.point)
-        lower = jnp.maximum(self.lower, state.point + below)
-        upper = jnp.minimum(self.upper, state.point + above)
-        return self._step(1 / step_size, state, lower, upper)[0], optx.RESULTS.successful
-
-    def undamped(self, state: DescentState) -> tuple[Array, Array]:
-        """The step without damping, as far as the matrix can be trusted in this precision; and whether it is exact."""
-        return self._step(jnp.zeros((), state.point.dtype), state, self.lower, self.upper)
-
-    def _step(self, damping: Array, state: DescentState, lower: Array, upper: Array) -> tuple[Array, Array]:
-        # A column of zeros (a field that nothing depends on here) gets scale 1: its gradient is 0, so it stays.
-        scale = jnp.where(state.scale > 0, state.scale, 1)
-        size = scale.shape[0]
-        floor = size * jnp.finfo(scale.dtype).eps
-        hessian = state.curvature / (scale[:, None] * scale[None, :])
-        hessian = hessian + jnp.maximum(damping, floor) * jnp.eye(size, dtype=scale.dtype)
-        lower, upper = (lower - state.point) * scale, (upper - state.point) * scale
-        scaled = minimise_in_box(hessian, state.gradient / scale, jnp.minimum(lower, 0), jnp.maximum(upper, 0))
-        return scaled.point / scale, scaled.solved
-
-
-class SearchState(NamedTuple):
-    """Present step size (1 / damping), and the factor that the next rejection divides it by."""
-
-    step_size: Float[Array, ""]
-    penalty: Float[Array, ""]
-
-
-class GainRatio(optx.AbstractSearch):
-    """Damping from the gain ratio, actual over predicted reduction: Nielsen's rule, bolder where the model is right.
-
-    The ratio is taken within the rounding of the loss: a change that the precision cannot resolve is no failure.
-    """
-
-    first_step_size: float = 1e3
-    accept_above: float = 1e-3
-
-    def init(self, y: Array, f_info_struct: Any) -> SearchState:
-        return SearchState(jnp.asarray(self.first_step_size, y.dtype), jnp.asarray(2.0, y.dtype))
-
-    def step(
-        self, first_step: Any, y: Array, y_eval: Array, f_info: Any, f_eval_info: Any, state: SearchState
-    ) -> tuple[Array, Array, optx.RESULTS, SearchState]:
-        step = y_eval - y
-        predicted = jnp.vdot(step, f_info.grad + f_info.hessian.mv(step) / 2, precision="highest")
-        actual = f_eval_info.as_min() - f_info.as_min()
-        noise = 4 * jnp.finfo(y.dtype).eps * jnp.abs(f_info.as_min())
-        ratio = (actual - noise) / jnp.minimum(predicted - noise, -jnp.finfo(y.dtype).tiny)
-        accept = first_step | ((ratio > self.accept_above) & jnp.isfinite(f_eval_info.as_min()))
-        bolder = jnp.where(ratio > 0.9, 0.03, jnp.maximum(0.1, 1 - (2 * ratio - 1) ** 3))
-        step_size = jnp.where(accept, state.step_size / bolder, state.step_size / state.penalty)
-        penalty = jnp.where(accept, 2.0, state.penalty * 2).astype(y.dtype)
-        step_size = jnp.where(first_step, state.step_size, jnp.minimum(step_size, 1 / jnp.finfo(y.dtype).eps))
-        return step_size, accept, optx.RESULTS.successful, SearchState(step_size, penalty)
 
 
 class SolverState(eqx.Module):
@@ -122,9 +37,8 @@ class SolverState(eqx.Module):
     first_step: Bool[Array, ""]
     y_eval: Float[Array, " n"]
     loss: Float[Array, ""]
-    gradient: Float[Array, " n"]
-    curvature: Float[Array, "n n"]
     descent_state: DescentState
+    """The quadratic model at the last accepted point."""
     search_state: SearchState
     achievable: Float[Array, ""]
     """How much lower the undamped quadratic model thinks the loss can get."""
@@ -138,6 +52,16 @@ class SolverState(eqx.Module):
     terminate: Bool[Array, ""]
     result: Any
     """An `optimistix.RESULTS`."""
+
+    @property
+    def gradient(self) -> Float[Array, " n"]:
+        """Slope of the loss at the last accepted point."""
+        return self.descent_state.gradient
+
+    @property
+    def curvature(self) -> Curvature:
+        """Gauss-Newton approximation of the second derivative there."""
+        return self.descent_state.curvature
 
 
 class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
@@ -170,6 +94,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         *,
         strides: Strides | None = None,
         freedom: Any = 0,
+        sampling: Any = (),
     ) -> None:
         # Arrays, so that a changed tolerance compiles nothing anew.
         self.rtol, self.atol = jnp.asarray(rtol), jnp.asarray(atol)
@@ -177,18 +102,19 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         self.norm = optx.max_norm
         lower, upper = jnp.asarray(lower), jnp.asarray(upper)
         strides = Strides.none(lower.shape[0], lower.dtype) if strides is None else strides
-        self.descent = BoxDampedNewton(lower, upper, strides)
+        self.descent = BoxDampedNewton(lower, upper, strides, sampling)
         self.search = GainRatio()
 
     def init(self, fn: Any, y: Array, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> Any:
         zero = jnp.zeros((), y.dtype)
+        _, model_at = _evaluators(fn, options)
+        shapes = eqx.filter_eval_shape(lambda y, args: as_curvature(model_at(y, args)[2]), y, args)
+        curvature = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
         return SolverState(
             first_step=jnp.array(True),
             y_eval=jnp.clip(y, self.descent.lower, self.descent.upper),
             loss=zero,
-            gradient=jnp.zeros_like(y),
-            curvature=jnp.zeros((y.shape[0], y.shape[0]), y.dtype),
-            descent_state=self.descent.init(y, None),
+            descent_state=self.descent.init(y, self._model(zero, jnp.zeros_like(y), curvature)),
             search_state=self.search.init(y, None),
             achievable=zero,
             step_norm=zero,
@@ -210,28 +136,28 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             state.first_step,
             y,
             trial,
-            _model(state.loss, state.gradient, state.curvature),
+            self._model(state.loss, state.gradient, state.curvature),
             optx.FunctionInfo.Eval(trial_loss),
             state.search_state,
         )
 
         def accepted(_: None) -> tuple[Any, ...]:
-            loss, gradient, curvature = model_at(trial, args)
-            descent_state = self.descent.query(trial, _model(loss, gradient, curvature), state.descent_state)
+            loss, gradient, matrix = model_at(trial, args)
+            curvature = as_curvature(matrix)
+            model = self._model(loss, gradient, curvature)
+            descent_state = self.descent.query(trial, model, state.descent_state)
             remaining, exact = self.descent.undamped(descent_state)
-            achievable = -jnp.vdot(remaining, gradient + curvature @ remaining / 2, precision="highest")
+            change = gradient + model.hessian.mv(remaining) / 2
+            achievable = -jnp.vdot(remaining, change, precision="highest")
             step_norm = self.norm(remaining / (self.atol + self.rtol * jnp.abs(trial))).astype(trial.dtype)
             # Only an exact step can say that there is nothing left to do.
             achievable, step_norm = jnp.where(exact, achievable, jnp.inf), jnp.where(exact, step_norm, jnp.inf)
-            return trial, loss, gradient, curvature, descent_state, achievable, step_norm
+            return trial, loss, descent_state, achievable, step_norm
 
         def rejected(_: None) -> tuple[Any, ...]:
-            kept = (state.loss, state.gradient, state.curvature, state.descent_state)
-            return (y, *kept, state.achievable, state.step_norm)
+            return y, state.loss, state.descent_state, state.achievable, state.step_norm
 
-        y, loss, gradient, curvature, descent_state, achievable, step_norm = jax.lax.cond(
-            accept, accepted, rejected, None
-        )
+        y, loss, descent_state, achievable, step_norm = jax.lax.cond(accept, accepted, rejected, None)
         eps = jnp.finfo(y.dtype).eps
         # Below the rounding of the loss, and no longer falling: nothing more to be had in this precision.
         exhausted = (achievable <= 4 * eps * loss) & (achievable > state.achievable / 4) & ~state.first_step
@@ -239,7 +165,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         offset_squared = achievable * self.freedom / (y.shape[0] * jnp.maximum(loss, jnp.finfo(y.dtype).tiny))
         near = (self.freedom > 0) & (offset_squared < KINK_OFFSET**2)
         at_kink = ~accept & (step_size < 1 / KINK_DAMPING) & near & ~converged
-        finite = jnp.isfinite(loss) & jnp.all(jnp.isfinite(gradient)) & jnp.all(jnp.isfinite(curvature))
+        finite = jnp.isfinite(loss) & descent_state.all_finite()
         stuck = step_size < 1 / MAX_DAMPING
         result = optx.RESULTS.where(stuck & ~converged & ~at_kink, optx.RESULTS.nonlinear_divergence, result)
         result = optx.RESULTS.where(finite, result, optx.RESULTS.nonfinite)
@@ -249,8 +175,6 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             first_step=jnp.array(False),
             y_eval=jnp.clip(y + move, self.descent.lower, self.descent.upper),
             loss=loss,
-            gradient=gradient,
-            curvature=curvature,
             descent_state=descent_state,
             search_state=search_state,
             achievable=achievable,
@@ -265,6 +189,10 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         )
         return y, new_state, None
 
+    def _model(self, loss: Array, gradient: Array, curvature: Curvature) -> Any:
+        operator: Any = Operator(curvature, self.descent.sampling)
+        return optx.FunctionInfo.EvalGradHessian(loss, gradient, operator)
+
     def terminate(self, fn: Any, y: Array, args: Any, options: Any, state: SolverState, tags: Any) -> Any:
         return state.terminate, state.result
 
@@ -272,10 +200,6 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         self, fn: Any, y: Array, aux: Any, args: Any, options: Any, state: SolverState, tags: Any, result: Any
     ) -> tuple[Array, Any, dict[str, Any]]:
         return y, aux, {"num_accepted_steps": state.num_accepted_steps}
-
-
-def _model(loss: Array, gradient: Array, curvature: Array) -> Any:
-    return optx.FunctionInfo.EvalGradHessian(loss, gradient, lx.MatrixLinearOperator(curvature))
 
 
 def _evaluators(fn: Any, options: dict[str, Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:

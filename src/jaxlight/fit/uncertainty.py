@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import normal
-from .identify import Ambiguity, ambiguities, analyse
+from .curvature import ArrowCurvature, as_curvature
+from .identify import Ambiguity, Partner, ambiguities, analyse
 from .problem import Description, Problem
 
 
@@ -78,31 +79,38 @@ class Uncertainty:
 def uncertainty(problem: Problem, description: Description, values: Any) -> Uncertainty:
     """Standard errors and what cannot be known at the given values; computed in float64 whatever the fit's precision.
 
+    Texels of whole textures are eliminated: errors and ambiguities of the other numbers allow for every texel.
+
     Args:
         problem, description: the fit.
-        values: the fitted numbers.
+        values: all fitted numbers (`FitState.values`).
     """
+    count = problem.parameters.few
     with jax.enable_x64(True):
         wide = _widen(problem)
         at = jnp.asarray(np.asarray(values), jnp.float64)
-        loss, gradient, curvature = (np.asarray(a, np.float64) for a in _normal_equations(wide, at))
+        loss, gradient, curvature, answers, size = (np.asarray(a, np.float64) for a in _reduced(wide, at))
     found = np.asarray(values, np.float64)
-    lower, upper = (np.asarray(a, np.float64) for a in (problem.parameters.lower, problem.parameters.upper))
+    lower, upper = (np.asarray(a, np.float64)[:count] for a in (problem.parameters.lower, problem.parameters.upper))
+    texels, found = found[count:], found[:count]
     labels = description.labels
     on_lower, on_upper = found <= lower, found >= upper
-    size = np.sqrt(np.maximum(np.diagonal(curvature), 0))
     # A bound holds a number back only if the slope presses against it by more than rounding.
     pressing = np.abs(gradient) > 1e-6 * size * np.sqrt(2 * float(loss))
     held = pressing & ((on_lower & (gradient > 0)) | (on_upper & (gradient < 0)))
-    seen = analyse(curvature, held)
+    seen = analyse(curvature, held, size)
     rank = int(np.count_nonzero(~held & ~seen.unseen)) - len(seen.null)
-    freedom = max(description.residuals - rank, 1)
+    freedom = max(description.residuals - rank - len(texels), 1)
     noise = 1.0 if description.noise_known else float(np.sqrt(2 * float(loss) / freedom))
     covariance = noise**2 * _pseudo_inverse(curvature, seen.scale, ~held & ~seen.unseen, len(seen.null))
     traded = np.max(np.abs(seen.null), axis=0, initial=0) > 1e-4
     error = np.where(seen.unseen | traded, np.inf, np.sqrt(np.maximum(np.diagonal(covariance), 0)))
     span = np.where(np.isfinite(upper - lower), upper - lower, np.abs(found))
     hardly = np.isfinite(error) & (error >= span / 2)
+    partners = [
+        Partner(block.path, answers[start : start + block.size], texels[start : start + block.size])
+        for block, start in zip(problem.parameters.blocks, _offsets(problem), strict=True)
+    ]
     return Uncertainty(
         labels=tuple(labels),
         standard_error=error,
@@ -113,15 +121,30 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
             (labels[i], "lower" if on_lower[i] else "upper") for i in np.flatnonzero(on_lower | on_upper).tolist()
         ),
         unseen=tuple(labels[i] for i in np.flatnonzero(seen.unseen).tolist()),
-        ambiguities=tuple(ambiguities(seen, found, labels, description.fields)),
+        ambiguities=tuple(ambiguities(seen, found, labels, description.fields, partners)),
         hardly_seen=tuple((labels[i], float(error[i])) for i in np.flatnonzero(hardly).tolist()),
         correlations=tuple(_correlations(covariance, labels, traded)),
     )
 
 
 @eqx.filter_jit
-def _normal_equations(problem: Problem, values: Any) -> normal.NormalEquations:
-    return normal.normal_equations(problem, values)
+def _reduced(problem: Problem, values: Any) -> tuple[Any, ...]:
+    """(loss, gradient, curvature, answers of the texels, column lengths) of the labelled numbers, texels eliminated."""
+    loss, gradient, matrix = normal.normal_equations(problem, values)
+    curvature = as_curvature(matrix)
+    count = problem.parameters.few
+    lengths = jnp.sqrt(jnp.maximum(curvature.diagonal()[:count], 0))
+    if not isinstance(curvature, ArrowCurvature):
+        return loss, gradient, matrix, jnp.zeros((0, count)), lengths
+    parameters = problem.parameters
+    on_lower, on_upper = values <= parameters.lower, values >= parameters.upper
+    held = (on_lower & (gradient > 0)) | (on_upper & (gradient < 0))
+    reduced, answers = curvature.eliminated(problem.sampling, ~held[count:])
+    return loss, gradient[:count], reduced, answers, lengths
+
+
+def _offsets(problem: Problem) -> list[int]:
+    return [block.offset - problem.parameters.few for block in problem.parameters.blocks]
 
 
 def _widen(tree: Any) -> Any:

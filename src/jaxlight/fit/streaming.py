@@ -1,0 +1,124 @@
+"""Going over the views of a fit and over the tiles of a view, adding up what each gives.
+
+One view and one tile are in memory at a time; sums carry their rounding errors along (Neumaier).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..lighting.prepared import Prepared, prepare
+from ..lighting.tiles import Run, surface_runs, tile_color, tile_of
+from .problem import Problem, scene_of_view
+from .residuals import composited, weighted_difference
+from .views import ViewData
+
+Carry = Any
+Adder = Callable[[Carry, tuple[Array, ...]], Carry]
+"""Adds a tuple of terms to the running sums."""
+
+
+class ViewInputs(eqx.Module):
+    """What one view's colours depend on: small, done once a view; the tiles take it from here."""
+
+    prepared: Prepared
+    exposure: Float[Array, ""]
+
+
+class Tile(NamedTuple):
+    """One tile of a view."""
+
+    residual: Callable[[ViewInputs], Float[Array, "3 samples"]]
+    """The weighted residuals as a function of the view's inputs."""
+    run: Run
+    index: Int[Array, ""]
+    view: ViewData
+
+    def cut(self, planes: Array) -> Array:
+        """The tile's columns of planes [..., slots]."""
+        return tile_of(planes, self.index, self.view.samples.tile)
+
+
+def view_inputs(problem: Problem, view: ViewData, values: Float[Array, " parameters"]) -> ViewInputs:
+    """The inputs of a view's tiles at these values."""
+    world = problem.at(values)
+    return ViewInputs(prepare(scene_of_view(world, view), view.samples, view.plan), world.exposure[view.row])
+
+
+def split_inputs(problem: Problem, inputs: ViewInputs) -> tuple[ViewInputs, ViewInputs]:
+    """(what derivatives by labelled numbers go through, the rest): textures only where texels are such numbers."""
+    moving, fixed = eqx.partition(inputs, eqx.is_inexact_array)
+    if any(leaf.leaf is not None and leaf.leaf.kind == "Texture" for leaf in problem.parameters.leaves):
+        return moving, fixed
+    nothing = (None,) * len(inputs.prepared.textures)
+    return eqx.tree_at(_textures, moving, nothing), eqx.tree_at(_textures, fixed, _textures(inputs), is_leaf=_is_none)
+
+
+def with_textures(inputs: ViewInputs, images: tuple[Array, ...]) -> ViewInputs:
+    """The inputs with other texture images."""
+    return eqx.tree_at(_textures, inputs, images)
+
+
+def _textures(inputs: ViewInputs) -> Any:
+    return inputs.prepared.textures
+
+
+def _is_none(leaf: Any) -> bool:
+    return leaf is None
+
+
+def over_views(problem: Problem, of_view: Callable[[ViewData, Adder, Carry], Carry], zeros: tuple[Array, ...]) -> Any:
+    """Sums over all views; `of_view(view, add, carry)` adds what one view gives."""
+    carry = (zeros, jax.tree.map(jnp.zeros_like, zeros))
+    for stack in problem.views:
+        carry, _ = jax.lax.scan(lambda carry, view: (of_view(view, add_terms, carry), None), carry, stack)
+    return added_up(carry)
+
+
+def add_terms(carry: Carry, terms: tuple[Array, ...]) -> Carry:
+    """The running sums and their rounding errors with the terms added."""
+    sums, errors = carry
+    pairs = [_two_sum(a, b) for a, b in zip(sums, terms, strict=True)]
+    return tuple(pair[0] for pair in pairs), tuple(e + pair[1] for e, pair in zip(errors, pairs, strict=True))
+
+
+def added_up(carry: Carry) -> tuple[Array, ...]:
+    """The sums, rounded once."""
+    return tuple(a + b for a, b in zip(*carry, strict=True))
+
+
+def over_tiles(
+    problem: Problem, view: ViewData, of_tile: Callable[[Carry, Tile], tuple[Carry, Any]], carry: Carry
+) -> tuple[Carry, list[Any]]:
+    """Go over the tiles of a view; gives the last carry, and per run what `of_tile` gave beside it, stacked."""
+    samples, outputs = view.samples, []
+    for run in surface_runs(problem.world.scene.surfaces, samples):
+
+        def step(carry: Carry, index: Array, run: Run = run) -> tuple[Carry, Any]:
+            def cut(plane: Array) -> Array:
+                return tile_of(plane, index, samples.tile)
+
+            def residual(inputs: ViewInputs) -> Array:
+                color = tile_color(run, inputs.prepared, samples, view.plan, index)
+                background = None if view.background is None else cut(view.background)
+                rgb = inputs.exposure * composited(color.rgb, color.alpha, background)
+                return weighted_difference(rgb, cut(view.target), cut(view.root_weight), view)
+
+            return of_tile(carry, Tile(residual, run, index, view))
+
+        carry, output = jax.lax.scan(step, carry, jnp.arange(run.start, run.stop))
+        outputs.append(output)
+    return carry, outputs
+
+
+def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:
+    """a + b as rounded, and what the rounding lost (exact)."""
+    total = a + b
+    part = total - a
+    return total, (a - (total - part)) + (b - part)

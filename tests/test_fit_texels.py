@@ -1,0 +1,207 @@
+"""Whole textures among the free fields: eliminated, not kept in a matrix, and as exact as if they were."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fit_scenes import PRECISIONS, key_light, material, precision
+from jaxlight import Free, SampleBuffer, Scene, View, fit, nodes, shade
+from jaxlight.fit import free, normal
+from jaxlight.fit.curvature import ArrowCurvature
+from jaxlight.fit.problem import make_problem
+
+TEXELS, SIZE = 12, 36
+SKIN = "Texture[skin].image"
+FREE: list[Any] = [SKIN, "Material[body].specular_color", "Material[body].shininess", "PointLight[*].location"]
+
+
+def skin(components: int = 3) -> np.ndarray:
+    """A picture with slopes and steps, values in [0.1, 0.9]."""
+    row, column = np.mgrid[0:TEXELS, 0:TEXELS] / TEXELS
+    planes = [0.5 + 0.3 * np.sin(7 * column + 3 * row), 0.5 + 0.3 * np.cos(9 * row), np.where(column < 0.5, 0.3, 0.7)]
+    return np.stack(planes[:components] + [np.ones_like(row)] * (components > 3), axis=2)
+
+
+def scene(image: np.ndarray, dtype: Any, **changes: Any) -> Scene:
+    texture = nodes.PixelTexture(image=image, name="skin")
+    shape = nodes.Shape(appearance=nodes.Appearance(material=material(**changes), texture=texture))
+    lamps = [key_light(color=(1, 1, 1)), key_light(name="left", location=(-2.0, 1.0, 3.0), intensity=0.5)]
+    return Scene.from_nodes([shape, *lamps], dtype=dtype)
+
+
+def start(dtype: Any, components: int = 3, **changes: Any) -> Scene:
+    body = {"specular_color": (0.3, 0.3, 0.3), "shininess": 0.2, **changes}
+    made = scene(np.full((TEXELS, TEXELS, components), 0.5), dtype, **body)
+    return jax.tree.map(lambda a: a, made)
+
+
+def bumpy(view: int, dtype: Any, *, nearest: bool = False) -> SampleBuffer:
+    """Samples of a bumpy patch that shows the texture, seen from a place of its own."""
+    across = (np.arange(SIZE) + 0.5) / SIZE
+    u, v = np.meshgrid(across, across)
+    x, y = 2 * u - 1, 2 * v - 1
+    z = 0.3 * np.sin(3 * x) * np.cos(2 * y)
+    normal_ = np.stack([-0.9 * np.cos(3 * x) * np.cos(2 * y), 0.6 * np.sin(3 * x) * np.sin(2 * y), np.ones_like(x)], -1)
+    shift = 0.3 * view
+    s, t = ((w.ravel() * (TEXELS - 1) + shift).clip(0, TEXELS - 1.001) for w in (u, v))
+    if nearest:
+        index, weight = (np.round(t) * TEXELS + np.round(s)).astype(int)[:, None], np.ones((len(s), 1))
+        index, weight = np.repeat(index, 4, axis=1), np.pad(weight, ((0, 0), (0, 3)))
+    else:
+        i, j = np.floor(t).astype(int), np.floor(s).astype(int)
+        f, g = t - i, s - j
+        index = np.stack([i * TEXELS + j, i * TEXELS + j + 1, (i + 1) * TEXELS + j, (i + 1) * TEXELS + j + 1], 1)
+        weight = np.stack([(1 - f) * (1 - g), (1 - f) * g, f * (1 - g), f * g], 1)
+    eye = (1.5 * np.cos(1.6 * view), 1.5 * np.sin(1.6 * view), 4.0)
+    return SampleBuffer.create(
+        np.stack([x, y, z], -1).reshape(-1, 3), normal_.reshape(-1, 3), eye, texel_index=index, texel_weight=weight,
+        pixel=np.arange(SIZE**2), width=SIZE, height=SIZE, dtype=dtype,
+    )  # fmt: skip
+
+
+def views(truth: Scene, dtype: Any, *, nearest: bool = False, noise: float = 0.0) -> list[View]:
+    """Two pictures of the truth (how a texture is shaded is tested elsewhere)."""
+    made = []
+    for number in range(2):
+        samples = bumpy(number, dtype, nearest=nearest)
+        picture = np.asarray(shade(truth, samples), np.float64)[:, :3].reshape(SIZE, SIZE, 3)
+        made.append(View(samples, picture + noise * np.random.default_rng(number).normal(size=picture.shape)))
+    return made
+
+
+@pytest.mark.parametrize("nearest", [False, True])
+@pytest.mark.parametrize("bits", PRECISIONS)
+def test_texture_material_and_lights_are_found_together(bits: str, nearest: bool) -> None:
+    with precision(bits) as dtype:
+        truth = scene(skin(), dtype)
+        result = fit(start(dtype), views(truth, dtype, nearest=nearest), FREE)
+        assert result.converged and result.accepted_steps <= 10, result.message
+        tolerance = 1e-9 if bits == "float64" else 1e-5
+        np.testing.assert_allclose(result.value(SKIN), skin(), atol=tolerance)
+        np.testing.assert_array_equal(result.scene.textures[0].image, result.value(SKIN))
+        np.testing.assert_allclose(result.value("Material[body].shininess"), 0.3, atol=tolerance)
+        np.testing.assert_allclose(result.value("PointLight[left].location"), (-2, 1, 3), atol=10 * tolerance)
+        assert len(result.values) == len(result.labels) == 10
+        assert f"{SKIN}: 12 x 12 texels" in str(result)
+        assert result.uncertainty.well_posed
+
+
+@pytest.mark.parametrize(
+    ("components", "prior"),
+    [(1, {"total_variation": 0.1}), (2, {}), (3, {"smoothness": 0.2}), (4, {"deviation": 0.3})],
+)
+def test_the_arrow_is_the_dense_matrix(components: int, prior: dict[str, float], monkeypatch: Any) -> None:
+    """The same problem with the texels kept as single numbers gives the matrix that the arrow stands for."""
+    with precision("float64") as dtype:
+        image = np.full((TEXELS, TEXELS, components), 0.5)
+        image[..., 0] += 0.01 * np.arange(TEXELS)
+        fields = [Free(SKIN, **prior), "Material[body].shininess", "PointLight[key].location"]
+        seen = views(scene(skin(components), dtype), dtype, noise=0.05)
+        arrow, _ = make_problem(scene(image, dtype), seen, fields, loss="cauchy", loss_scale=0.1)
+        made = jax.jit(normal.normal_equations)(arrow, arrow.parameters.start)
+        assert isinstance(made.curvature, ArrowCurvature)
+        size = arrow.parameters.start.shape[0]
+        identity = jnp.eye(size)
+        whole = np.asarray(jax.jit(jax.vmap(lambda v: made.curvature.product(v, arrow.sampling)))(identity))
+
+        slope = jax.jit(jax.grad(lambda v: normal.loss(arrow, v)))(arrow.parameters.start)
+        np.testing.assert_allclose(made.gradient, slope, rtol=0, atol=1e-10 * np.abs(slope).max())
+        assert float(made.loss) == pytest.approx(float(normal.loss(arrow, arrow.parameters.start)), rel=1e-12)
+        np.testing.assert_allclose(whole, whole.T, rtol=0, atol=1e-12 * np.abs(whole).max())
+        rows = np.abs(whole[4:, 4:]).sum(axis=1)
+        assert np.all(np.asarray(made.curvature.row_sum) >= rows * (1 - 1e-9))
+
+        monkeypatch.setattr(free, "MIN_BLOCK", 10**9)
+        plain = Free(SKIN, deviation=prior.get("deviation"))
+        dense, _ = make_problem(scene(image, dtype), seen, [plain, *fields[1:]], loss="cauchy", loss_scale=0.1)
+        few = jax.jit(normal.normal_equations)(dense, dense.parameters.start)
+        # The dense problem's texels come first and hold alpha too.
+        colors = np.arange(image.size).reshape(image.shape)[..., : 1 if components <= 2 else 3].reshape(-1)
+        order = np.concatenate([image.size + np.arange(4), colors])
+        expected = np.asarray(few.curvature)[np.ix_(order, order)]
+        if not {"smoothness", "total_variation"} & set(prior):
+            np.testing.assert_allclose(whole, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+        else:
+            extra = whole - expected
+            np.testing.assert_allclose(extra[:4], 0, atol=1e-11 * np.abs(expected).max())
+            np.testing.assert_allclose(extra.sum(axis=1), 0, atol=1e-9 * np.abs(extra).max())
+            assert np.linalg.eigvalsh(extra).min() > -1e-9 * np.abs(extra).max()
+
+
+def test_strength_against_texture_is_named() -> None:
+    with precision("float32") as dtype:
+        truth = scene(skin(), dtype, specular_color=(0, 0, 0))
+        fields = [SKIN, "PointLight[*].intensity"]
+        body = {"specular_color": (0.0, 0.0, 0.0)}
+        result = fit(start(dtype, **body), views(truth, dtype), fields)
+        assert result.uncertainty.messages() == [
+            "PointLight[key].intensity and PointLight[left].intensity can be traded for Texture[skin].image: "
+            "only their product is seen"
+        ]
+        assert np.all(np.isinf(result.uncertainty.standard_error))
+        strength = result.value("PointLight[key].intensity") / 0.9
+        np.testing.assert_allclose(result.value(SKIN) * strength, skin(), atol=1e-4)
+
+
+def test_texels_stay_in_their_bounds_and_what_no_sample_sees_stays() -> None:
+    with precision("float64") as dtype:
+        truth = scene(skin(), dtype)
+        samples = bumpy(0, dtype)
+        lit = np.asarray(shade(truth, samples))[:, :3]
+        left = np.asarray(samples.position)[:, 0] < 0.2
+        view = View(samples, np.where(lit > 0.4, 3.0, lit), mask=left)
+        result = fit(start(dtype), view, [Free(SKIN, upper=0.8)])
+        image = result.value(SKIN)
+        assert result.converged, result.message
+        assert image.max() == 0.8 and image.min() >= 0
+        np.testing.assert_array_equal(image[:, -3:], 0.5)
+
+
+@pytest.mark.parametrize("prior", ["smoothness", "total_variation"])
+def test_neighbour_priors_fill_what_is_not_seen_and_calm_what_is_noisy(prior: str) -> None:
+    with precision("float64") as dtype:
+        truth = scene(skin(), dtype)
+        noisy = View(bumpy(0, dtype), views(truth, dtype, noise=0.2)[0].target, noise=0.2)
+        errors = []
+        for options in ({}, {prior: 0.08}):
+            flat = scene(np.full_like(skin(), 0.5), dtype)
+            result = fit(flat, noisy, [Free(SKIN, **options)], rtol=1e-4, atol=1e-5)
+            assert result.converged, result.message
+            errors.append(float(np.sqrt(np.mean((result.value(SKIN) - skin()) ** 2))))
+        assert errors[1] < 0.8 * errors[0], errors
+
+
+# ruff: noqa: E501
+WRONG: dict[str, tuple[Any, str]] = {
+    "bounds": (Free(SKIN, lower=0.6), "Texture[skin].image: 432 texels start outside their bounds"),
+    "size of bounds": (Free(SKIN, upper=np.ones((2, 5))), "Texture[skin].image: upper: expected one number, one a component, or an image"),
+    "prior": (Free(SKIN, mean=0.3), "Texture[skin].image: a prior mean needs a deviation"),
+    "smoothness": (Free(SKIN, smoothness=0.0), "Texture[skin].image: smoothness: expected a number > 0, got 0.0"),
+    "not a texture": (Free("Material[body].shininess", smoothness=1.0), "smoothness and total_variation are for whole textures"),
+    "twice": ([SKIN, SKIN + "[0][0][1]"], "Texture[0].image is named twice"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_bad_requests_are_refused(case: str) -> None:
+    request, message = WRONG[case]
+    with precision("float32") as dtype:
+        view = View(bumpy(0, dtype), np.zeros((SIZE, SIZE, 3)))
+        with pytest.raises(ValueError, match=message.replace("[", r"\[").replace("]", r"\]")):
+            fit(start(dtype), view, request)
+
+
+def test_several_samples_a_pixel_are_refused_with_textures() -> None:
+    with precision("float32") as dtype:
+        whole = bumpy(0, dtype)
+        samples = SampleBuffer.create(
+            whole.position, whole.normal, (0, 0, 4), pixel=np.arange(SIZE**2) // 4, coverage=np.full(SIZE**2, 0.25),
+            width=SIZE, height=SIZE, texel_index=np.zeros((SIZE**2, 4), int), texel_weight=np.full((SIZE**2, 4), 0.25),
+        )  # fmt: skip
+        with pytest.raises(ValueError, match="whole textures cannot be fitted to views with several samples a pixel"):
+            fit(start(dtype), View(samples, np.zeros((SIZE, SIZE, 3))), SKIN)
