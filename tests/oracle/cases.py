@@ -34,7 +34,7 @@ def random_block(seed: int, block: int, count: int, shapes: int = 12) -> list[Ca
     rng = np.random.default_rng([seed, 1])
     drawn = [_random_shape(rng, i) for i in range(shapes)]
     rng = np.random.default_rng([seed, 3, block])
-    return [_fill(rng, drawn[i % shapes], f"random[{block}.{i}]") for i in range(count)]
+    return [_fill(rng, drawn[i % shapes], f"random:{block}:{i}") for i in range(count)]
 
 
 def well_conditioned_cases(seed: int, count: int, precision: int = 32) -> list[Case]:

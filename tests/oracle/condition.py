@@ -33,7 +33,7 @@ from .case import Case
 from .exact import Exact, evaluate
 from .paths import Path, get, put
 from .tape import Decision
-from .ulp import input_ulp, neighbours, output_ulp, underflow_threshold
+from .ulp import input_ulp, neighbours, output_ulp, underflow_threshold, underflowing_base
 
 MAX_CONDITION = 1000.0
 MIN_DISTANCE = 16.0
@@ -99,9 +99,12 @@ def distance(decision: Decision, case: Case, exact: Exact, precision: int = 32) 
     ulps = ((slope, input_ulp(get(case, exact.inputs[i]), precision)) for i, slope in decision.slopes.items())
     reach = sum(slope * float(ulp) for slope, ulp in ulps)
     reach += float(input_ulp(1.0, precision)) if decision.rounding else 0.0
-    if reach == 0:
+    if reach == 0:  # what no input moves
         return 0.0 if decision.margin == 0 and decision.kind != "jump" else np.inf
-    return float(abs(decision.margin) / reach)
+    margin = abs(decision.margin)
+    if decision.exponent is not None:
+        margin += float(underflowing_base(float(decision.exponent), precision))
+    return float(margin / reach)
 
 
 def near_ties(case: Case, precision: int = 32) -> Callable[[Decision], bool]:

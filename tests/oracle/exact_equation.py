@@ -176,7 +176,7 @@ def modified_power(tape: Tape, i: int, base: Dual) -> Dual:
     n, x = exponent.value, base.value
     # Below exponent 1 the power meets zero with an infinite slope. Above it derivatives at zero have no condition: they
     # are 0, with n x^(n-1) and x^n log x just beside.
-    tape.compare(f"lights[{i}].power at 0", "cone", base)
+    tape.decide(f"lights[{i}].power at 0", "cone", x, base.gradient, exponent=n)
     positive = tape.compare(f"lights[{i}].n_h", "kink", base) if n == 1 else x > 0
     if positive and x > 0:
         power = exp(exponent * log(base))

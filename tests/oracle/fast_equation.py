@@ -11,6 +11,7 @@ from .case import Fog, Light
 from .dual import Dual, Vector, cross, dot, minus, plus, times
 from .fast_tape import WIDE, FastTape, arc_tangent, exp, exp_minus_one, log, safe_reciprocal, select, sum_slopes
 from .paths import is_live
+from .ulp import underflowing_base
 
 OPPOSITE = 1e-17
 """L + V of this length is rounding: the directions are opposite."""
@@ -163,7 +164,7 @@ def modified_power(tape: FastTape, i: int, base: Dual, versine: np.ndarray) -> D
     logarithm = logarithm.map_value(np.where(near, np.log1p(-np.where(near, versine, 0)), logarithm.value))
     power = exp(exponent * logarithm)
     power = tape.underflow(f"lights[{i}].power", power)
-    tape.decide("cone", x, base.gradient)
+    tape.decide("cone", x, base.gradient, room=underflowing_base(n, tape.precision))
     straight = tape.decide("kink", x, base.gradient, name=f"lights[{i}].n_h", where=n == 1)
     beyond = select(n == 1, base, Dual(np.where(n == 0, WIDE(1), WIDE(0))))
     power = select(positive, power, beyond)

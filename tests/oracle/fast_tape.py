@@ -58,7 +58,7 @@ class FastTape:
         self.case = columns.template
         self.ulps = input_ulp(columns.values, precision) if order else None
         self.ulp_of_one = input_ulp(1.0, precision)
-        self.smallest = underflow_threshold(precision)
+        self.precision = precision
         self.distances = {kind: np.full(columns.count, np.inf) for kind in ("jump", "kink", "cone")}
         self.kinks: dict[str, np.ndarray] = {}
         self.powers_lost: list[str] = []
@@ -86,8 +86,12 @@ class FastTape:
         name: str = "",
         where: Any = np.True_,
         rounding: bool = False,
+        room: Any = 0.0,
     ) -> np.ndarray:
-        """margin > 0, a case; its distance is noted where `where` and `active` hold. A kink has a name to flip."""
+        """margin > 0, a case; its distance is noted where `where` and `active` hold. A kink has a name to flip.
+
+        `room`: the margin counts as so much larger.
+        """
         positive = np.broadcast_to(margin > 0, (self.columns.count,))
         if self.ulps is None:
             return positive
@@ -96,7 +100,7 @@ class FastTape:
             reach = reach + self.ulp_of_one
         with np.errstate(all="ignore"):
             unreachable = np.inf if kind == "jump" else np.where(margin == 0, 0, np.inf)
-            distance = np.where(reach > 0, np.abs(margin) / reach, unreachable)
+            distance = np.where(reach > 0, (np.abs(margin) + room) / reach, unreachable)
         distance = np.where(where & self.active, distance, np.inf).astype(np.float64)
         self.distances[kind] = np.minimum(self.distances[kind], distance)
         if kind == "kink":
@@ -107,7 +111,7 @@ class FastTape:
 
     def underflow(self, name: str, x: Dual) -> Dual:
         """x, or 0 where it may underflow and is chosen (by `flip`) to be lost."""
-        lost = (x.value > 0) & (x.value < self.smallest) & self.active
+        lost = (x.value > 0) & (x.value < underflow_threshold(self.precision)) & self.active
         if np.any(lost):
             self.powers_lost.append(name)
         return select(lost, self.constant(0), x) if name in self.flip else x

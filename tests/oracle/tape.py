@@ -23,7 +23,7 @@ class Decision:
     there is no derivative at all (the tip of |x|, an infinite slope). "underflow" is no comparison of the equation: a
     margin that a format may lose (see `ulp.underflow_threshold`) may as well be taken for 0. `slopes[i]` bounds how
     fast the margin moves with input i; `rounding`: it is a sum of numbers near 1 and so moves by an ulp of 1 even if
-    no input does.
+    no input does; `exponent`: a power of it is taken, which has no condition near 0 until its slope underflows.
     """
 
     name: str
@@ -31,6 +31,7 @@ class Decision:
     margin: Any
     slopes: dict[int, Any]
     rounding: bool = False
+    exponent: Any = None
 
 
 class Tape:
@@ -66,10 +67,11 @@ class Tape:
         *,
         at_tie: bool = False,
         rounding: bool = False,
+        exponent: Any = None,
     ) -> bool:
         """True if the margin is positive, `at_tie` if it is 0; recorded."""
         bounds = {i: abs(slope) for i, slope in slopes.items()}
-        self.decisions[name] = Decision(name, kind, margin, bounds, rounding)
+        self.decisions[name] = Decision(name, kind, margin, bounds, rounding, exponent)
         return self.ties.get(name, at_tie if margin == 0 else margin > 0)
 
     def compare(self, name: str, kind: Kind, margin: Dual) -> bool:

@@ -22,6 +22,13 @@ def underflow_threshold(precision: int) -> float:
     return float(info.tiny) / float(info.eps)
 
 
+def underflowing_base(exponent: Any, precision: int) -> np.ndarray:
+    """Up to which x the slope of x^exponent, about x^(exponent - 1), is below the smallest normal number."""
+    above = np.asarray(exponent, dtype=np.float64) - 1
+    tiny = float(np.finfo(FORMATS[precision]).tiny)
+    return np.where(above > 0, tiny ** (1 / np.where(above > 0, above, 1)), 0.0)
+
+
 def neighbours(value: Any, precision: int) -> list[np.ndarray]:
     """The places [...] to which inputs [...] move by one ulp, in the input's own (wider) type."""
     wide = np.asarray(value)
