@@ -25,26 +25,24 @@ import equinox as eqx
 import numpy as np
 import tyro
 
-from jaxlight import Free, Scene, View, fit, nodes, save
-from photographed_scene import Cat, aimed_lamp, lights_at, make_scene, matt, photographs_of
-from photometric_stereo import (
-    SHADOW,
-    angles,
-    chrome_directions,
-    lambert_normals,
-    lambert_prediction,
-    object_mask,
-    read_photographs,
-    scaled,
-    strengths_of_lights,
+import photometric_stereo as stereo
+from jaxlight import Free, Scene, View, fit, save
+from photographed_scene import (
+    NOISE,
+    Cat,
+    aim_limits,
+    aimed_lamp,
+    direction_seen,
+    lights_at,
+    make_scene,
+    matt,
+    photographs_of,
 )
 from pictures import save_grid, signed, table
 
 DATA = Path(__file__).parent / "data" / "psbox_cat"
 MEAN_ALBEDO = 0.5
 """Photographs show albedo times strength only; this splits them."""
-NOISE = 0.005
-"""What a pixel may differ from the model, in the photographs' range [0, 1]."""
 
 
 class Errors(NamedTuple):
@@ -52,15 +50,6 @@ class Errors(NamedTuple):
 
     mean: float
     median: float
-
-
-class Figures(NamedTuple):
-    """What is known of one held-out photograph."""
-
-    errors: dict[str, Errors]
-    """By method."""
-    direction: float
-    """Angle in degrees between the lamp's direction as the photograph tells it and as the chrome spheres do."""
 
 
 class HeldOut(NamedTuple):
@@ -72,10 +61,19 @@ class HeldOut(NamedTuple):
     """The same cat in the light of the held-out lamp."""
     predictions: dict[str, np.ndarray]
     """Pictures of the held-out photograph [pixels], by method."""
+    errors: dict[str, Errors]
+    direction: float
+    """Angle in degrees between the lamp's direction as the photograph tells it and as the chrome spheres do."""
 
 
 def fit_lamps(
-    cat: Cat, scene: Scene, normals: np.ndarray, photographs: dict[str, np.ndarray], chosen: np.ndarray, *extra: Any
+    cat: Cat,
+    scene: Scene,
+    normals: np.ndarray,
+    photographs: dict[str, np.ndarray],
+    chosen: np.ndarray,
+    *extra: Any,
+    tolerance: float = 1e-3,
 ) -> Scene:
     """The scene with the strength and aim of the named lamps, and the `extra` fields, fitted to the chosen pixels."""
     samples = cat.samples(normals, chosen)
@@ -83,17 +81,37 @@ def fit_lamps(
         View(
             samples,
             cat.image(photograph),
-            mask=cat.image(photograph > SHADOW),
+            mask=cat.image(photograph > stereo.SHADOW),
             noise=NOISE,
             lights=[f"SpotLight[{lamp}]"],
             name=lamp,
         )
         for lamp, photograph in photographs.items()
     ]
-    fields = ("intensity", "direction.x", "direction.y")
-    own = [f"SpotLight[{lamp}].{field}" for lamp in photographs for field in fields]
+    strengths = [f"SpotLight[{lamp}].intensity" for lamp in photographs]
+    # A lamp whose beam hardly falls off does not tell its aim: the prior does.
+    aims = [
+        Free(
+            [f"SpotLight[{lamp}].direction.{axis}" for axis in "xy"],
+            lower=-limit,
+            upper=limit,
+            mean=0,
+            deviation=limit / 2,
+        )
+        for lamp, limit in aim_limits(scene).items()
+        if lamp in photographs
+    ]
     # Cast shadows and light from surface to surface are outside the model: large residuals count less.
-    found = fit(scene, views, [*own, *extra], loss="huber", loss_scale=2.0, rtol=1e-3, atol=1e-3, max_steps=200)
+    found = fit(
+        scene,
+        views,
+        [*strengths, *aims, *extra],
+        loss="huber",
+        loss_scale=2.0,
+        rtol=tolerance,
+        atol=tolerance,
+        max_steps=200,
+    )
     print(f"  {len(views)} photographs, {len(found.values)} numbers: {found.message}")
     return found.scene
 
@@ -103,8 +121,8 @@ def train(
 ) -> tuple[Scene, np.ndarray]:
     """The scene fitted to the training photographs, and normal times albedo [pixels, 3]."""
     names, pictures = list(photographs), np.stack(list(photographs.values()))
-    strengths = strengths_of_lights(pictures, directions)
-    normals = lambert_normals(pictures, strengths[:, None] * directions)
+    strengths = stereo.strengths_of_lights(pictures, directions)
+    normals = stereo.lambert_normals(pictures, strengths[:, None] * directions)
     normals *= MEAN_ALBEDO / np.linalg.norm(normals, axis=1).mean()
     lamps = [
         aimed_lamp(cat, name, direction, picture, np.maximum(normals @ direction, 0))
@@ -112,24 +130,15 @@ def train(
     ]
     scene = make_scene(cat, np.linalg.norm(normals, axis=1), lamps)
     gloss = Free("Material[plaster].shininess", mean=0.2, deviation=0.2)  # without a highlight nothing else tells it
-    for _ in range(rounds):
-        scene = fit_lamps(cat, scene, normals, photographs, chosen, "Material[plaster].specular_color", gloss)
+    for left in reversed(range(rounds)):
+        free = ("Material[plaster].specular_color", gloss)
+        scene = fit_lamps(cat, scene, normals, photographs, chosen, *free, tolerance=1e-2 if left else 1e-3)
         samples = cat.samples(normals)
         highlights = photographs_of(cat, scene, samples) - photographs_of(cat, matt(scene), samples)
-        normals = lambert_normals(pictures - highlights, lights_at(cat, scene))
+        normals = stereo.lambert_normals(pictures - highlights, lights_at(cat, scene))
         texture = cat.texture(np.linalg.norm(normals, axis=1))
         scene = eqx.tree_at(lambda s: s.textures[0].image, scene, texture.astype(scene.textures[0].image.dtype))
     return scene, normals
-
-
-def direction_seen(cat: Cat, normals: np.ndarray, seen: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """The direction to the lamp that a photograph alone tells, from a start straight ahead: vector [3], any length."""
-    sun = nodes.DirectionalLight(name="sun", direction=(0, 0, -1), ambient_intensity=0)
-    scene = matt(make_scene(cat, np.linalg.norm(normals, axis=1), [sun]))
-    view = View(cat.samples(normals, chosen), cat.image(seen), mask=cat.image(seen > SHADOW), noise=NOISE)
-    free = [f"DirectionalLight[sun].{field}" for field in ("intensity", "direction.x", "direction.y")]
-    found = fit(scene, view, free, loss="huber", loss_scale=2.0)
-    return -np.asarray(found.scene.directional.direction[0], float)
 
 
 def predict(
@@ -150,7 +159,7 @@ def predict(
 
 def hold_out(
     cat: Cat, name: str, photographs: dict[str, np.ndarray], directions: dict[str, np.ndarray], every: int, rounds: int
-) -> tuple[HeldOut, Figures]:
+) -> HeldOut:
     """Fit all photographs but one, predict that one, by jaxlight and by Lambert's law alone."""
     chosen = np.random.default_rng(0).random(len(cat.position)) < 1 / every
     seen, direction = photographs[name], directions[name]
@@ -158,42 +167,32 @@ def hold_out(
     pictures, to_lamps = np.stack(list(others.values())), np.stack([directions[other] for other in others])
     scene, normals = train(cat, others, to_lamps, chosen, rounds)
     lit, ours = predict(cat, scene, normals, name, direction, seen, chosen)
-    unit = lambert_prediction(pictures, to_lamps, direction)
-    fitted = lambert_prediction(pictures, strengths_of_lights(pictures, to_lamps)[:, None] * to_lamps, direction)
+    unit = stereo.lambert_prediction(pictures, to_lamps, direction)
+    strengths = stereo.strengths_of_lights(pictures, to_lamps)
+    fitted = stereo.lambert_prediction(pictures, strengths[:, None] * to_lamps, direction)
     predictions = {
         "Lambert, unit strengths": unit,
-        "Lambert, unit, scaled": scaled(unit, seen, chosen),
-        "Lambert, fitted strengths": scaled(fitted, seen, chosen),
+        "Lambert, unit, scaled": stereo.scaled(unit, seen, chosen),
+        "Lambert, fitted strengths": stereo.scaled(fitted, seen, chosen),
         "jaxlight": ours,
     }
     wrong = {label: np.abs(picture - seen)[~chosen] for label, picture in predictions.items()}
     errors = {label: Errors(float(e.mean()), float(np.median(e))) for label, e in wrong.items()}
-    off = angles(direction_seen(cat, normals, seen, chosen), direction)
-    return HeldOut(scene, lit, predictions), Figures(errors, float(off))
+    off = stereo.angles(direction_seen(cat, normals, seen, chosen), direction)
+    return HeldOut(scene, lit, predictions, errors, float(off))
 
 
-def chrome_report(each: np.ndarray, directions: np.ndarray) -> str:
-    """How the two spheres agree with each other and with the directions that come with the data."""
-    given = np.loadtxt(DATA / "light_directions.txt").T
-    first, second = (angles(sphere, given).mean() for sphere in each)
-    return (
-        "Lamps from the chrome spheres, mean angle in degrees to the directions that come with the data:\n"
-        f"sphere 1 {first:.2f}, sphere 2 {second:.2f}, mean of both {angles(directions, given).mean():.2f}; "
-        f"between the spheres {angles(*each).mean():.2f}\n"
-    )
-
-
-def error_table(figures: dict[int, Figures]) -> str:
+def error_table(found: dict[int, HeldOut]) -> str:
     """A row a photograph held out, a column a method; and how well the photograph tells its lamp's direction."""
-    methods = list(next(iter(figures.values())).errors)
+    methods = list(next(iter(found.values())).errors)
 
     def row(head: str, errors: Iterable[Sequence[float]], off: float) -> list[str]:
         return [head, *(f"{mean:.4f} ({median:.4f})" for mean, median in errors), f"{off:.2f}"]
 
-    rows = [row(str(number), each.errors.values(), each.direction) for number, each in figures.items()]
+    rows = [row(str(number), each.errors.values(), each.direction) for number, each in found.items()]
     if len(rows) > 1:
-        means = [np.mean([each.errors[method] for each in figures.values()], axis=0) for method in methods]
-        rows.append(row("mean", means, float(np.mean([each.direction for each in figures.values()]))))
+        means = [np.mean([each.errors[method] for each in found.values()], axis=0) for method in methods]
+        rows.append(row("mean", means, float(np.mean([each.direction for each in found.values()]))))
     return "\n".join(
         [
             "Mean (median) absolute error of the held-out photograph, of a range of 1; degrees between its lamp",
@@ -213,7 +212,7 @@ def save_prediction(path: Path, cat: Cat, number: int, seen: np.ndarray, predict
 
 def main(
     output: Path = Path("output/02_photographs"), held_out: tuple[int, ...] = (1,), rounds: int = 2, every: int = 20
-) -> dict[int, Figures]:
+) -> dict[int, HeldOut]:
     """Fit eleven photographs and predict the twelfth, for each that is held out; print and write the figures.
 
     Args:
@@ -222,27 +221,29 @@ def main(
         rounds: how often lamps and material, then normals and albedo, are solved.
         every: the lamps are fitted to one pixel in so many.
     """
-    pictures = read_photographs(DATA)
-    cat = Cat(object_mask(pictures))
-    each = chrome_directions(DATA)
+    pictures = stereo.read_photographs(DATA)
+    cat = Cat(stereo.object_mask(pictures))
+    each = stereo.chrome_directions(DATA)
     mean = each.mean(axis=0) / np.linalg.norm(each.mean(axis=0), axis=1, keepdims=True)
+    if not all(1 <= number <= len(pictures) for number in held_out):
+        raise ValueError(f"held_out: expected numbers from 1 to {len(pictures)}, got {held_out}")
     names = [f"lamp{number + 1:02d}" for number in range(len(pictures))]
     photographs = dict(zip(names, pictures[:, cat.mask], strict=True))
     directions = dict(zip(names, mean, strict=True))
-    print(chrome_report(each, mean))
+    print(stereo.chrome_report(DATA, each, mean))
     output.mkdir(parents=True, exist_ok=True)
-    figures = {}
+    found = {}
     for number in held_out:
         name = names[number - 1]
         print(f"Photograph {number} held out")
-        result, figures[number] = hold_out(cat, name, photographs, directions, every, rounds)
+        found[number] = hold_out(cat, name, photographs, directions, every, rounds)
         if number == held_out[0]:
-            save(result.scene, output / "cat.x3d")
-            save(result.lit, output / "held_out.x3d")
-            save_prediction(output / "prediction.png", cat, number, photographs[name], result.predictions)
-    print("\n" + error_table(figures))
-    (output / "report.txt").write_text(chrome_report(each, mean) + "\n" + error_table(figures) + "\n")
-    return figures
+            save(found[number].scene, output / "cat.x3d")
+            save(found[number].lit, output / "held_out.x3d")
+            save_prediction(output / "prediction.png", cat, number, photographs[name], found[number].predictions)
+    print("\n" + error_table(found))
+    (output / "report.txt").write_text(stereo.chrome_report(DATA, each, mean) + "\n" + error_table(found) + "\n")
+    return found
 
 
 if __name__ == "__main__":

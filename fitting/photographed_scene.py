@@ -10,11 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlight import Orthographic, SampleBuffer, Scene, nodes, render, samples_from_maps
-from photometric_stereo import falloff
+from jaxlight import Orthographic, SampleBuffer, Scene, View, fit, nodes, render, samples_from_maps
+from photometric_stereo import SHADOW, falloff
 
-LAMP_DISTANCE = 20.0
-"""Far, as the chrome spheres say."""
+LAMP_DISTANCE = 60.0
+"""Far, as the chrome spheres say; and far enough that a beam that hardly falls off has its axis beside the cat."""
+
+NOISE = 0.005
+"""What a pixel may differ from the model, in the photographs' range [0, 1]."""
 
 
 class Cat:
@@ -75,7 +78,7 @@ def aimed_lamp(
     """
     level, slope = falloff(photograph, lambert, cat.position)
     steepness = max(np.linalg.norm(slope), 1e-6)
-    off_axis = np.clip(np.pi / 2 - 1 / (steepness * LAMP_DISTANCE), 0.05, 1.4)
+    off_axis = np.clip(np.pi / 2 - 1 / (steepness * LAMP_DISTANCE), 0.1, 1.53)
     across = slope - (slope @ direction) * direction
     axis = -np.cos(off_axis) * direction + np.sin(off_axis) * across / max(np.linalg.norm(across), 1e-12)
     turn = np.cross([0.0, 0.0, -1.0], axis)
@@ -86,6 +89,14 @@ def aimed_lamp(
             name=name, intensity=level / (1 - off_axis / (np.pi / 2)), beam_width=0.01, cut_off_angle=np.pi / 2
         ),
     )
+
+
+def aim_limits(scene: Scene) -> dict[str, float]:
+    """How far direction.x and .y of each lamp may go, so that its axis, where the beam has a tip, stays off the cat."""
+    turn, place = np.asarray(scene.spot.to_world, float)[..., :3], np.asarray(scene.spot.to_world, float)[..., 3]
+    to_cat = np.einsum("lji,lj->li", turn, -place)
+    limits = np.linalg.norm(to_cat[:, :2], axis=1) / np.abs(to_cat[:, 2]) / 2
+    return dict(zip(scene.spot.names, limits.tolist(), strict=True))
 
 
 def photographs_of(cat: Cat, scene: Scene, samples: SampleBuffer) -> np.ndarray:
@@ -116,3 +127,13 @@ def lights_at(cat: Cat, scene: Scene) -> np.ndarray:
     tilted = np.stack([np.cos(turns), np.sin(turns), np.ones(3)], axis=1) / np.sqrt(2)
     received = np.stack([photographs_of(cat, white, cat.samples(normal)) for normal in tilted], axis=-1)
     return np.linalg.solve(tilted, received[..., None])[..., 0]
+
+
+def direction_seen(cat: Cat, normals: np.ndarray, seen: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """The direction to the lamp that a photograph alone tells, from a start straight ahead: vector [3], any length."""
+    sun = nodes.DirectionalLight(name="sun", direction=(0, 0, -1), ambient_intensity=0)
+    scene = matt(make_scene(cat, np.linalg.norm(normals, axis=1), [sun]))
+    view = View(cat.samples(normals, chosen), cat.image(seen), mask=cat.image(seen > SHADOW), noise=NOISE)
+    free = [f"DirectionalLight[sun].{field}" for field in ("intensity", "direction.x", "direction.y")]
+    found = fit(scene, view, free, loss="huber", loss_scale=2.0)
+    return -np.asarray(found.scene.directional.direction[0], float)

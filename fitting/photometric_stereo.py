@@ -66,6 +66,17 @@ def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
+def chrome_report(folder: Path, each: np.ndarray, directions: np.ndarray) -> str:
+    """How the two spheres agree with each other and with the directions that come with the data."""
+    given = np.loadtxt(folder / "light_directions.txt").T
+    first, second = (angles(sphere, given).mean() for sphere in each)
+    return (
+        "Lamps from the chrome spheres, mean angle in degrees to the directions that come with the data:\n"
+        f"sphere 1 {first:.2f}, sphere 2 {second:.2f}, mean of both {angles(directions, given).mean():.2f}; "
+        f"between the spheres {angles(*each).mean():.2f}\n"
+    )
+
+
 def strengths_of_lights(photographs: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Relative strengths (mean 1) of lights of known direction, with no knowledge of the surface.
 

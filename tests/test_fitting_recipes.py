@@ -135,10 +135,15 @@ def test_lambert_with_unit_strengths_leaves_the_residual_that_others_measured() 
     assert abs(np.abs(np.maximum(directions @ design, 0) - pictures).mean() - 0.058) < 0.001
 
 
+def test_recipe_02_refuses_a_photograph_that_does_not_exist(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="from 1 to 12, got \\(0,\\)"):
+        recipe("02_photographs").main(tmp_path, held_out=(0,))
+
+
 def test_recipe_02_predicts_a_held_out_photograph_better_than_lambert(tmp_path: Path) -> None:
-    figures = recipe("02_photographs").main(tmp_path, held_out=(3,), rounds=1, every=50)
-    errors = figures[3].errors
-    assert figures[3].direction < 3.0
+    found = recipe("02_photographs").main(tmp_path, held_out=(3,), rounds=1, every=50)[3]
+    errors = found.errors
+    assert found.direction < 3.0, "degrees between what the photograph tells of its lamp and what the spheres do"
     assert errors["Lambert, unit strengths"].mean > 0.1
     assert errors["Lambert, fitted strengths"].mean < 0.0075
     assert errors["jaxlight"].mean < 0.6 * errors["Lambert, fitted strengths"].mean
