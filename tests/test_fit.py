@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import optimistix as optx
 import pytest
 
 from fit_scenes import (
@@ -330,3 +331,30 @@ def test_a_scene_with_a_number_that_is_none_is_refused() -> None:
             fit(broken_scene, view_of(), FREE)
         with pytest.raises(ValueError, match="views: expected a View"):
             fit(scene, [], FREE)
+
+
+# --- other minimisers ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("truth", ["inside", "diffuse 1"])
+def test_other_minimisers_are_selectable(truth: str) -> None:
+    with precision("float64") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, body=TRUTHS[truth]))
+        near = sphere_scene(body=material(diffuse_color=(0.5, 0.4, 0.4), shininess=0.25), dtype=dtype)
+        method = optx.LBFGS(rtol=1e-9, atol=1e-11)
+        result = fit(near, view, FREE[:3], method=method, max_steps=300)
+        # On a bound the smooth change of variables has no end: close, but never said to have converged.
+        assert result.converged is (truth == "inside"), result.message
+        assert result.message.startswith("Converged by LBFGS in" if result.converged else "Not converged by LBFGS in")
+        assert error_of(result, TRUTHS[truth]) < 1e-4
+        assert np.all(result.values <= 1)
+        stopped = fit(near, view, FREE[:3], method=method, max_steps=3)
+        assert stopped.outcome == "max_steps" and not stopped.converged
+        with pytest.raises(ValueError, match="method: expected an optimistix minimiser"):
+            fit(near, view, FREE[:3], method="adam")
+
+
+def error_of(result: Fit, body: nodes.Material) -> float:
+    """Largest error of the fitted colours and shininess."""
+    truth = (*body.diffuse_color, *body.specular_color, body.shininess)
+    return float(np.max(np.abs(result.values - truth)))

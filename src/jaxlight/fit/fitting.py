@@ -16,6 +16,7 @@ import optimistix as optx
 from ..lighting import LightingOptions
 from ..scene.scene import Scene
 from . import normal
+from .minimisers import minimise
 from .problem import Description, Problem, make_problem
 from .residuals import LossKind
 from .run import FitState, advance, begin, finished, make_solver
@@ -134,6 +135,7 @@ def fit(
     atol: float | None = None,
     starts: int = 1,
     seed: int = 0,
+    method: Any = None,
     progress: Callable[[Step], Any] | None = None,
 ) -> Fit:
     """Fit the free fields of a scene to one or many views by bounded Levenberg-Marquardt.
@@ -150,6 +152,8 @@ def fit(
         starts: more than 1: also begin from that many random places and directions of lights and exponents of
             highlights, a few steps each, and carry on from the lowest.
         seed: of the random starts.
+        method: an optimistix minimiser (`optimistix.LBFGS(1e-6, 1e-6)`, `optimistix.OptaxMinimiser(optax.adam(0.01),
+            1e-6, 1e-6)`) instead of the bounded Levenberg-Marquardt; it shows no steps, and only approaches bounds.
         progress: called with a `Step` after each evaluation; an interrupt (Ctrl-C) returns the best so far.
 
     Raises:
@@ -159,11 +163,27 @@ def fit(
         raise ValueError(f"starts: expected at least 1, got {starts}")
     problem, description = make_problem(scene, views, free, loss=loss, loss_scale=loss_scale, options=options)
     solver = make_solver(problem, rtol=rtol, atol=atol)
+    if method is not None:
+        return _fit_by(method, problem, description, solver, max_steps)
     if starts > 1:
         drawn = random_starts(problem, description.fields, starts, seed)
         state = begin(problem, solver, explore(problem, solver, drawn).best)
         return run_fit(problem, description, solver, max_steps=max_steps, state=state, progress=progress)
     return run_fit(problem, description, solver, max_steps=max_steps, progress=progress)
+
+
+def _fit_by(method: Any, problem: Problem, description: Description, solver: Any, max_steps: int) -> Fit:
+    """The fit that another minimiser makes, evaluated like one of ours."""
+    began = time.monotonic()
+    values, converged, steps = minimise(problem, method, max_steps)
+    state = advance(problem, solver, begin(problem, solver, values))
+    history = [describe_step(problem, description, state, time.monotonic() - began)]
+    made = make_fit(problem, description, state, history)
+    finite = made.outcome != "nonfinite"
+    outcome: Outcome = ("converged" if converged else "max_steps") if finite else "nonfinite"
+    ending = "Converged" if converged and finite else "Not converged"
+    message = f"{ending} by {type(method).__name__} in {steps} steps; residual RMS {made.rms:.3g}."
+    return dataclasses.replace(made, outcome=outcome, message=message)
 
 
 def run_fit(

@@ -34,7 +34,7 @@ def loss(problem: Problem, values: Float[Array, " parameters"]) -> Float[Array, 
         inputs = view_inputs(problem, view, values)
 
         def of_tile(carry: Any, tile: Tile) -> Any:
-            return add(carry, (half_loss(*problem.rho, tile.residual(inputs)),)), None
+            return add(carry, (half_loss(*problem.rho, jax.checkpoint(tile.residual)(inputs)),)), None
 
         return over_tiles(problem, view, of_tile, carry)[0]
 
