@@ -132,7 +132,10 @@ def test_single_precision_keeps_its_type_and_its_digits(kind: str, bits: str) ->
         assert {leaf.dtype for leaf in found} == {jnp.dtype(jnp.float32)}
         scale = np.sqrt(np.maximum(np.diagonal(exact.curvature), 1e-30))
         np.testing.assert_allclose(
-            found.curvature / np.outer(scale, scale), exact.curvature / np.outer(scale, scale), rtol=0, atol=2e-5
+            np.asarray(found.curvature) / np.outer(scale, scale),
+            np.asarray(exact.curvature) / np.outer(scale, scale),
+            rtol=0,
+            atol=2e-5,
         )
         assert float(found.loss) == pytest.approx(float(exact.loss), rel=1e-5)
 
