@@ -1,13 +1,18 @@
-"""First hits of primary rays: against brute force, watertight, exact at ties, whatever way the work is cut up."""
+"""First hits of primary rays: against brute force, watertight, exact at ties, whatever way the work is cut up, with
+embree's guesses and without."""
 
 from __future__ import annotations
 
+import sys
+
+import jax
 import numpy as np
 import pytest
 import trimesh
 
-from jaxlight.raster import Camera, visibility
+from jaxlight.raster import Camera, embree_depth, rasterize, visibility
 from jaxlight.raster.visibility import Prepared, barycentric, first_hits, prepare
+from jaxlight.scene import Scene, nodes
 from raster_oracle import first_hits as cast
 from raster_oracle import margin
 
@@ -19,7 +24,8 @@ def seen(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """[height * width]: triangle (-1: none), depth, and the rays [height * width, 3] in world space."""
     camera = camera or Camera(EYE, np.eye(3), 1.2)
-    to_camera = (triangles - camera.position) @ camera.rotation
+    with np.errstate(invalid="ignore"):
+        to_camera = (triangles - camera.position) @ camera.rotation
     corners = np.ascontiguousarray(np.moveaxis(to_camera, 0, 2))
     prepared = Prepared.front_to_back(
         [prepare(corners, camera.pixel_to_camera(width, height), width, height, cull=cull)]
@@ -135,3 +141,153 @@ def test_agrees_with_embree_but_for_its_single_precision() -> None:
     assert (which >= 0).mean() > 0.3
     if len(differ):
         assert margin(camera.position, rays[differ], points[mesh.faces]).max() < 1e-6
+
+
+def test_a_speck_does_not_show_through_what_is_just_in_front() -> None:
+    """A speck's depth rounds by far more than the gap; it must not come out before its nearest corner."""
+    random = np.random.default_rng(81)
+    wall = np.array([[[-40.0, -40, -5], [40, -40, -5], [0, 60, -5]]])
+    for _ in range(200):
+        toward = np.array([0.5, 0.5, 1]) @ Camera(EYE, np.eye(3), 1.2).pixel_to_camera(2, 2).T
+        speck = toward * 5 * (1 + 1e-8) + random.normal(0, (1e-5, 1e-5, 0), (60, 3, 3))
+        which, _, _ = seen(np.concatenate([speck, wall]), 2, 2)
+        np.testing.assert_array_equal(which, 60)
+
+
+def needles(seed: int, count: int) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    middle, along = random.uniform((-3, -3, -6), (3, 3, -1), (count, 3)), random.normal(0, 0.5, (count, 3))
+    return np.stack([middle - along, middle + along, middle + random.normal(0, 0.01, (count, 3))], axis=1)
+
+
+def layers(seed: int, count: int, across: tuple[float, float]) -> np.ndarray:
+    """Triangles of one size at some distance."""
+    random = np.random.default_rng(seed)
+    middle = random.uniform((across[0], -4, -6), (across[1], 4, -3), (count, 3))
+    return middle[:, None] + random.normal(0, 0.5, (count, 3, 3))
+
+
+def closed_meshes() -> np.ndarray:
+    ball, box = trimesh.creation.icosphere(subdivisions=4), trimesh.creation.box((1.0, 2.0, 1.0))
+    parts = [ball.vertices[ball.faces] + (x, 0.1 * x, -3) for x in (-1.0, 0.0, 0.3)]
+    return np.concatenate([*parts, box.vertices[box.faces] + (1, 1, -4), ball.vertices[ball.faces] * 9])
+
+
+def degenerate() -> np.ndarray:
+    """Edge-on, flat, pointlike, coincident, far too large, far too small and not finite, in front of a soup."""
+    fan = np.array([[[0.0, y, -2], [0, y + 1, -3], [0, y + 1, -9]] for y in np.linspace(-2, 1, 9)])
+    odd = soup(35, 12, 0.5)
+    odd[0, 1] = odd[0, 0]
+    odd[1] = odd[1, 0]
+    odd[2, 2] = (odd[2, 0] + odd[2, 1]) / 2
+    odd[3] *= 1e30
+    odd[4] *= 1e-30
+    odd[5, 0, 0], odd[6, 1, 1] = np.nan, np.inf
+    tilted = fan + np.array([[[1e-9, 0, 0], [0, 0, 0], [-1e-12, 0, 0]]])
+    scene = soup(36, 300, 0.4)
+    return np.concatenate([fan, odd, tilted, scene, scene[::-1], scene[:50] * (1 + 1e-9)])
+
+
+def everywhere(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Lets embree guess whatever the scene; the list grows by the number of guesses of each picture."""
+    pytest.importorskip("embreex")
+    for name, value in (("_OVERDRAW", 0), ("_FRONT", 1 << 20), ("_LARGEST", 1 << 40), ("_CLOSED", 0.0)):
+        monkeypatch.setattr(embree_depth, name, value)
+    counts: list[int] = []
+
+    def likely_hits(*arguments):
+        found = embree_depth.likely_hits(*arguments)
+        counts.append(0 if found is None else len(found[0]))
+        return found
+
+    monkeypatch.setattr(visibility, "likely_hits", likely_hits)
+    return counts
+
+
+def without_embreex(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if it were not installed."""
+    for name in ("embreex", "embreex.mesh_construction", "embreex.rtcore_scene"):
+        monkeypatch.setitem(sys.modules, name, None)
+
+
+SCENES = {
+    "small triangles": soup(31, 3000, 0.1),
+    "large triangles": soup(32, 200, 2.0),
+    "slivers": soup(33, 500, (1, 1, 1e-4)),
+    "needles": needles(34, 2000),
+    "closed meshes": closed_meshes(),
+    "degenerate": degenerate(),
+    "tiny units": soup(37, 500, 0.3) * 1e-12,
+    "huge units": soup(38, 500, 0.3) * 1e12,
+}
+
+
+@pytest.mark.parametrize("cull", [False, True])
+@pytest.mark.parametrize("scene", SCENES)
+def test_embree_changes_nothing(monkeypatch: pytest.MonkeyPatch, scene: str, cull: bool) -> None:
+    """Bit for bit; and most of its guesses are hits, so that something was there to be changed."""
+    with monkeypatch.context() as patch:
+        without_embreex(patch)
+        expected = seen(SCENES[scene], 133, 97, cull=cull)
+    guesses = everywhere(monkeypatch)
+    found = seen(SCENES[scene], 133, 97, cull=cull)
+    np.testing.assert_array_equal(found[0], expected[0])
+    np.testing.assert_array_equal(found[1], expected[1])
+    assert guesses[0] > 0.9 * np.count_nonzero(expected[0] >= 0) > 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_wrong_guesses_change_nothing(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """Any triangle, at any pixel that its box holds, the last of all included."""
+    triangles = np.concatenate([soup(41 + seed, 300, 0.2), soup(51 + seed, 30, 2.0), degenerate()])
+    monkeypatch.setattr(visibility, "likely_hits", lambda *_: None)
+    expected = seen(triangles, 90, 70)
+
+    def wrong(prepared: Prepared, boxes: visibility.Boxes, *_: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        random = np.random.default_rng(seed)
+        box = random.integers(len(boxes.row), size=20_000)
+        x = random.integers(boxes.low_x[box], boxes.high_x[box], endpoint=True)
+        return box, x, random.integers(boxes.low_y[box], boxes.high_y[box], endpoint=True)
+
+    monkeypatch.setattr(visibility, "likely_hits", wrong)
+    found = seen(triangles, 90, 70)
+    np.testing.assert_array_equal(found[0], expected[0])
+    np.testing.assert_array_equal(found[1], expected[1])
+
+
+@pytest.mark.parametrize(
+    ("triangles", "is_asked"),
+    [
+        (layers(61, 20_000, (-4, 4)), True),
+        (layers(62, 2_000, (-4, 4)), False),
+        (layers(63, 20_000, (0, 4)), False),
+        (needles(64, 20_000), False),
+        (closed_meshes(), False),
+    ],
+    ids=["many layers", "few layers", "half the picture empty", "needles", "large triangles in front"],
+)
+def test_embree_is_asked_only_where_it_pays(
+    monkeypatch: pytest.MonkeyPatch, triangles: np.ndarray, is_asked: bool
+) -> None:
+    asked: list[bool] = []
+    monkeypatch.setattr(embree_depth, "_embree", lambda: asked.append(True))
+    seen(triangles, 128, 128)
+    assert asked == [True] * is_asked
+
+
+def test_the_buffers_are_the_same_without_embreex(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Through the public door, several rays a pixel."""
+    points = soup(71, 6000, 0.2).reshape(-1, 3)
+    index = np.insert(np.arange(len(points)).reshape(-1, 3), 3, -1, axis=1).ravel()
+    mesh = nodes.IndexedFaceSet(coord=nodes.Coordinate(point=points), coord_index=index, solid=False)
+    scene = Scene.from_nodes([nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()), geometry=mesh)])
+    camera = Camera(EYE, np.eye(3), 1.2)
+    with monkeypatch.context() as patch:
+        without_embreex(patch)
+        assert embree_depth._embree() is None
+        expected = rasterize(scene, camera, 128, 128, samples=2)
+    guesses = everywhere(monkeypatch)
+    found = rasterize(scene, camera, 128, 128, samples=2)
+    assert len(guesses) == 2 and min(guesses) > 0
+    for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_array_equal(ours, theirs)

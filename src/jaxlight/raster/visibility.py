@@ -19,6 +19,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from .embree_depth import likely_hits
+
 _BLOCK = 64
 _SMALL = 16
 """Triangles up to this many pixels across go straight to pixels."""
@@ -104,7 +106,11 @@ def first_hits(
     low_y = np.clip(np.ceil(prepared.bounds[2] - v), 0, height).astype(np.int64)
     high_y = np.clip(np.floor(prepared.bounds[3] - v), -1, height - 1).astype(np.int64)
     row = np.flatnonzero((low_x <= high_x) & (low_y <= high_y))
-    boxes = _Boxes(row, low_x[row], high_x[row], low_y[row], high_y[row])
+    boxes = Boxes(row, low_x[row], high_x[row], low_y[row], high_y[row])
+    if (likely := likely_hits(prepared, boxes, width, height, offset)) is not None:
+        box, x, y = likely
+        target.draw(prepared, Boxes(row[box], x, x, y, y), offset)
+        target.note_depths()
     for chunk in boxes.chunks():
         chunk = chunk.select(prepared.nearest[chunk.row] <= target.farthest(chunk))
         is_large = chunk.across > _SMALL
@@ -128,7 +134,7 @@ def barycentric(prepared: Prepared, row: np.ndarray, u: np.ndarray, v: np.ndarra
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Boxes:
+class Boxes:
     """Rectangles of pixels, bounds included, each of which a triangle may touch."""
 
     row: np.ndarray
@@ -143,15 +149,19 @@ class _Boxes:
         return np.maximum(self.high_x - self.low_x, self.high_y - self.low_y) + 1
 
     @property
+    def area(self) -> np.ndarray:
+        """Pixels."""
+        return (self.high_x - self.low_x + 1) * (self.high_y - self.low_y + 1)
+
+    @property
     def work(self) -> np.ndarray:
         """Roughly what a box costs, in pixels to test: its area, or less where blocks are looked at first."""
-        area = (self.high_x - self.low_x + 1) * (self.high_y - self.low_y + 1)
-        return np.where(self.across > _SMALL, _SMALL * self.across + area // _SMALL, area)
+        return np.where(self.across > _SMALL, _SMALL * self.across + self.area // _SMALL, self.area)
 
-    def select(self, keep: np.ndarray | slice) -> _Boxes:
-        return _Boxes(self.row[keep], self.low_x[keep], self.high_x[keep], self.low_y[keep], self.high_y[keep])
+    def select(self, keep: np.ndarray | slice) -> Boxes:
+        return Boxes(self.row[keep], self.low_x[keep], self.high_x[keep], self.low_y[keep], self.high_y[keep])
 
-    def chunks(self) -> Iterator[_Boxes]:
+    def chunks(self) -> Iterator[Boxes]:
         """Runs of boxes of about _CHUNK pixels' work together, in order."""
         total = np.cumsum(self.work)
         start = 0
@@ -161,14 +171,14 @@ class _Boxes:
             yield self.select(slice(start, stop))
             start = stop
 
-    def split(self, size: int) -> Iterator[_Boxes]:
+    def split(self, size: int) -> Iterator[Boxes]:
         """The boxes cut along multiples of `size` pixels, in chunks."""
         first_x, first_y = self.low_x // size, self.low_y // size
         columns, rows = self.high_x // size - first_x + 1, self.high_y // size - first_y + 1
         which, within = _count_up(columns * rows)
         row, column = np.divmod(within, columns[which])
         x, y = (first_x[which] + column) * size, (first_y[which] + row) * size
-        return _Boxes(
+        return Boxes(
             self.row[which],
             np.maximum(self.low_x[which], x),
             np.minimum(self.high_x[which], x + size - 1),
@@ -191,14 +201,14 @@ class _Target:
         self.block_depth = np.full((rows, columns), np.inf)
         self.changes = 0
 
-    def farthest(self, boxes: _Boxes) -> np.ndarray:
+    def farthest(self, boxes: Boxes) -> np.ndarray:
         """For each box at most a block across a depth behind which it is filled; infinity for larger ones."""
         columns, rows = (boxes.low_x // _BLOCK, boxes.high_x // _BLOCK), (boxes.low_y // _BLOCK, boxes.high_y // _BLOCK)
         corners = [self.block_depth[row, column] for row in rows for column in columns]
         local = (columns[1] - columns[0] <= 1) & (rows[1] - rows[0] <= 1)
         return np.where(local, np.max(corners, axis=0, initial=0.0), np.inf)
 
-    def draw(self, prepared: Prepared, boxes: _Boxes, offset: tuple[float, float]) -> None:
+    def draw(self, prepared: Prepared, boxes: Boxes, offset: tuple[float, float]) -> None:
         """Test every pixel of the boxes."""
         for chunk in boxes.chunks():
             width, height = chunk.high_x - chunk.low_x + 1, chunk.high_y - chunk.low_y + 1
@@ -211,7 +221,10 @@ class _Target:
             total = volumes[0][inside] + volumes[1][inside] + volumes[2][inside]
             inside, total = inside[total > 0], total[total > 0]
             row = row[inside]
-            self._keep_nearest(y[inside] * self.stride + x[inside], prepared.volume[row] / total, prepared.number[row])
+            # Rounding may bring the depth of a sliver before `nearest`, by which triangles are dropped: then what is
+            # seen would hang on the order of the work.
+            depth = np.maximum(prepared.volume[row] / total, prepared.nearest[row])
+            self._keep_nearest(y[inside] * self.stride + x[inside], depth, prepared.number[row])
 
     def note_depths(self) -> None:
         """Bring the depths of the blocks up to date, once enough has changed to be worth it."""
@@ -237,7 +250,7 @@ class _Target:
         np.minimum.at(self.number, pixel, number)
 
 
-def _may_touch(prepared: Prepared, boxes: _Boxes, offset: tuple[float, float], farthest: np.ndarray) -> np.ndarray:
+def _may_touch(prepared: Prepared, boxes: Boxes, offset: tuple[float, float], farthest: np.ndarray) -> np.ndarray:
     """Whether a triangle can be inside its three edges, and not behind `farthest`, somewhere in the box."""
     left, right = boxes.low_x + offset[0], boxes.high_x + offset[0]
     top, bottom = boxes.low_y + offset[1], boxes.high_y + offset[1]
