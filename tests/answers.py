@@ -1,6 +1,7 @@
 """jaxlight's answers for oracle cases, many at a time, in the oracle's terms: colours, and derivatives by path.
 
 Cases of one structure are stacked and mapped with `jax.vmap`, in chunks of one size, so that few programs are compiled.
+Nothing is skipped but what the structure itself decides, and every float is free.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -21,6 +22,9 @@ from oracle.case import Case
 from oracle.paths import Path, float_paths
 
 CHUNK = 256
+Mode = Literal["reverse", "forward", "second"]
+"""`second`: forward over reverse, along `direction`."""
+DIFFERENTIATED = ("position_planes", "normal_planes", "eye", "color_planes")
 
 
 class Group(NamedTuple):
@@ -32,116 +36,148 @@ class Group(NamedTuple):
     paths: list[Path]
 
 
+def values(cases: Sequence[Case], dtype: Any, chunk: int = CHUNK) -> np.ndarray:
+    """Colour and alpha of every case, float64 [N, 4]."""
+    out = np.zeros((len(cases), 4))
+    for group in groups(cases, chunk):
+        out[group.index] = np.asarray(stacked_values(*inputs(group, dtype, chunk), group.plan))[: len(group.cases)]
+    return out
+
+
+def derivatives(cases: Sequence[Case], dtype: Any, mode: Mode = "reverse", chunk: int = CHUNK) -> list[np.ndarray]:
+    """Of every case the derivatives of colour and alpha by its P inputs, float64 [P, 4], as `oracle.float_paths`."""
+    out: list[np.ndarray] = [np.zeros((0, 4))] * len(cases)
+    for group in groups(cases, chunk):
+        scene, samples = inputs(group, dtype, chunk)
+        found = by_path(stacked(mode, scene, samples, group.plan), group, scene)
+        for i, derivative in zip(group.index, found, strict=True):
+            out[i] = derivative
+    return out
+
+
 def groups(cases: Sequence[Case], chunk: int = CHUNK) -> Iterator[Group]:
     """The cases by structure, at most `chunk` at a time."""
     found: dict[tuple, list[int]] = {}
     for i, case in enumerate(cases):
         found.setdefault(structure(case), []).append(i)
     for places in found.values():
+        plan, paths = plan_of(cases[places[0]]), float_paths(cases[places[0]])
         for start in range(0, len(places), chunk):
             index = np.array(places[start : start + chunk])
-            own = [cases[i] for i in index]
-            yield Group(index, own, plan_of(own[0]), float_paths(own[0]))
+            yield Group(index, [cases[i] for i in index], plan, paths)
 
 
 def plan_of(case: Case) -> Plan:
-    """The plan that holds for every case of the structure: nothing skipped but what the structure itself decides."""
+    """The plan that holds for every case of the structure."""
     scene, samples = scene_and_sample(case, np.float32)
     return make_plan(scene, samples, options_of(case), free=True)
 
 
 def inputs(group: Group, dtype: Any, chunk: int = CHUNK) -> tuple[Scene, SampleBuffer]:
     """The group as stacked scenes and samples; the last case is repeated until the chunk is full."""
-    filled = group.cases + [group.cases[-1]] * (chunk - len(group.cases))
-    return scenes_and_samples(filled, dtype)
+    missing = chunk - len(group.cases)
+
+    def filled(leaf: jax.Array) -> np.ndarray:
+        return np.pad(np.asarray(leaf), [(0, missing), *[(0, 0)] * (leaf.ndim - 1)], mode="edge")
+
+    return jax.tree.map(filled, scenes_and_samples(group.cases, dtype))
 
 
-def one(scene: Scene, samples: SampleBuffer, plan: Plan) -> jax.Array:
+def color_of_one(scene: Scene, samples: SampleBuffer, plan: Plan) -> jax.Array:
     """Colour and alpha [4] of one case."""
     return shade_planes(scene, samples, plan=plan)[:, 0]
-
-
-def _floats(samples: SampleBuffer) -> tuple[SampleBuffer, SampleBuffer]:
-    """What of a buffer is differentiated, and the rest."""
-    rest = dataclasses.replace(samples, position_planes=None, normal_planes=None, eye=None, color_planes=None)
-    return dataclasses.replace(
-        jax.tree.map(lambda _: None, samples),
-        position_planes=samples.position_planes,
-        normal_planes=samples.normal_planes,
-        eye=samples.eye,
-        color_planes=samples.color_planes,
-    ), rest
-
-
-def _joined(own: SampleBuffer, rest: SampleBuffer) -> SampleBuffer:
-    names = ("position_planes", "normal_planes", "eye", "color_planes")
-    return dataclasses.replace(rest, **{name: getattr(own, name) for name in names})
-
-
-def _of_both(scene_and_own: tuple[Scene, SampleBuffer], rest: SampleBuffer, plan: Plan) -> jax.Array:
-    scene, own = scene_and_own
-    return one(scene, _joined(own, rest), plan)
 
 
 @partial(jax.jit, static_argnames="plan")
 def stacked_values(scene: Scene, samples: SampleBuffer, plan: Plan) -> jax.Array:
     """[cases, 4]"""
-    return _mapped(lambda a, b: one(a, b, plan), scene, samples)
+    return mapped(lambda a, b: color_of_one(a, b, plan), scene, samples)
 
 
-def _mapped(function: Callable, scene: Scene, samples: SampleBuffer) -> Any:
+@partial(jax.jit, static_argnames=("mode", "plan"))
+def stacked(mode: Mode, scene: Scene, samples: SampleBuffer, plan: Plan) -> tuple[Scene, SampleBuffer]:
+    """Derivatives by scene and samples, every leaf [cases, 4, ...]."""
+    transform = {"reverse": jax.jacrev, "forward": jax.jacfwd, "second": jax.jacrev}[mode]
+
+    def of_one(scene: Scene, samples: SampleBuffer) -> Any:
+        def derivative(point: tuple[Scene, SampleBuffer]) -> Any:
+            return transform(color_of_inputs)(point, samples, plan)
+
+        point = (scene, taken(samples))
+        return jax.jvp(derivative, (point,), (steps(point),))[1] if mode == "second" else derivative(point)
+
+    return mapped(of_one, scene, samples)
+
+
+def direction(path: Path) -> float:
+    """Step over value of an input in second derivatives: every node field has its own."""
+    fields = [step for step in path if isinstance(step, str)]
+    return STEPS[fields[-1]]
+
+
+STEPS = {
+    **{"ambient_intensity": 0.5, "attenuation": -0.75, "beam_width": 0.375, "color": 0.625, "cut_off_angle": 0.5},
+    **{"diffuse_color": 0.5, "direction": 0.875, "emissive_color": 1.0, "eye": -0.375, "frame": 0.25},
+    **{"intensity": -0.5, "location": 0.75, "normal": 0.625, "position": -0.25, "radius": 0.0, "shininess": 0.375},
+    **{"specular_color": -0.625, "texel": 0.75, "transparency": 0.5, "visibility_range": 0.25},
+}
+
+
+def steps(point: tuple[Scene, SampleBuffer]) -> tuple[Scene, SampleBuffer]:
+    """Every input times its `direction`; the inverse of a frame moves the other way."""
+    names = {"to_world": 0.25, "to_local": -0.25, "position_planes": STEPS["position"], "image": STEPS["texel"]}
+    names |= {"normal_planes": STEPS["normal"], "color_planes": STEPS["color"]}
+
+    def step(path: tuple, leaf: jax.Array) -> jax.Array:
+        name = path[-1].name
+        return leaf * (names[name] if name in names else STEPS[name])
+
+    return jax.tree_util.tree_map_with_path(step, point)
+
+
+def color_of_inputs(scene_and_own: tuple[Scene, SampleBuffer], samples: SampleBuffer, plan: Plan) -> jax.Array:
+    """Colour and alpha [4], with what is differentiated in the first argument."""
+    scene, own = scene_and_own
+    return color_of_one(
+        scene, dataclasses.replace(samples, **{name: getattr(own, name) for name in DIFFERENTIATED}), plan
+    )
+
+
+def taken(samples: SampleBuffer) -> SampleBuffer:
+    """What of a buffer is differentiated, all else None."""
+    return dataclasses.replace(
+        jax.tree.map(lambda _: None, samples), **{name: getattr(samples, name) for name in DIFFERENTIATED}
+    )
+
+
+def mapped(function: Callable[[Scene, SampleBuffer], Any], scene: Scene, samples: SampleBuffer) -> Any:
+    """`function` of every case; integers are the same for all, so that the program's branches stay branches."""
     index, surface = samples.texel_index, samples.tile_surface
-    index = None if index is None else index[0]
     samples = dataclasses.replace(samples, texel_index=None, tile_surface=None)
 
     def of_one(scene: Scene, samples: SampleBuffer, index: Any, surface: Any) -> Any:
         return function(scene, dataclasses.replace(samples, texel_index=index, tile_surface=surface))
 
-    return jax.vmap(of_one, in_axes=(0, 0, None, None))(scene, samples, index, surface[0])
-
-
-def _derivatives(transform: Callable, scene: Scene, samples: SampleBuffer, plan: Plan) -> Any:
-    def of_one(scene: Scene, samples: SampleBuffer) -> Any:
-        own, rest = _floats(samples)
-        return transform(_of_both)((scene, own), rest, plan)
-
-    return _mapped(of_one, scene, samples)
-
-
-@partial(jax.jit, static_argnames="plan")
-def stacked_reverse(scene: Scene, samples: SampleBuffer, plan: Plan) -> Any:
-    """(gradients by scene, by samples), every leaf [cases, 4, ...]; reverse mode."""
-    return _derivatives(jax.jacrev, scene, samples, plan)
-
-
-@partial(jax.jit, static_argnames="plan")
-def stacked_forward(scene: Scene, samples: SampleBuffer, plan: Plan) -> Any:
-    """As `stacked_reverse`, in forward mode."""
-    return _derivatives(jax.jacfwd, scene, samples, plan)
+    first = None if index is None else index[0]
+    return jax.vmap(of_one, in_axes=(0, 0, None, None))(scene, samples, first, surface[0])
 
 
 def by_path(derivatives: tuple[Scene, SampleBuffer], group: Group, scene: Scene) -> np.ndarray:
-    """Derivatives as [cases, P, 4], float64, in the order of the group's paths."""
+    """Derivatives as float64 [cases, P, 4], in the order of the group's paths."""
     count = len(group.cases)
     of_scene, of_samples = jax.tree.map(lambda leaf: np.asarray(leaf, dtype=np.float64)[:count], derivatives)
-    rows = _rows(group.cases[0])
+    rows = light_rows(group.cases[0])
 
     def column(path: Path) -> np.ndarray:
         match path:
             case ("material", name, *k):
                 return getattr(of_scene.materials, name)[(..., 0, *k)]
-            case ("lights", i, "frame", r, 3):
-                return getattr(of_scene, rows[i][0]).to_world[..., rows[i][1], r, 3]
             case ("lights", i, "frame", r, c):
-                own = getattr(of_scene, rows[i][0])
-                whole = own.to_world[..., rows[i][1], :, :3]
-                if hasattr(own, "to_local"):
-                    whole = whole + _through_inverse(
-                        own.to_local[..., rows[i][1], :, :], getattr(scene, rows[i][0]).to_local[:count, rows[i][1]]
-                    )
-                return whole[..., r, c]
+                kind, row = rows[i]
+                return _by_frame(getattr(of_scene, kind), getattr(scene, kind), row, count)[..., r, c]
             case ("lights", i, name, *k):
-                return getattr(getattr(of_scene, rows[i][0]), name)[(..., rows[i][1], *k)]
+                kind, row = rows[i]
+                return getattr(getattr(of_scene, kind), name)[(..., row, *k)]
             case ("fog", "frame", r, c):
                 if c == 3:
                     return np.zeros((count, 4))
@@ -159,18 +195,25 @@ def by_path(derivatives: tuple[Scene, SampleBuffer], group: Group, scene: Scene)
     return np.stack([column(path) for path in group.paths], axis=1)
 
 
-def _rows(case: Case) -> dict[int, tuple[str, int]]:
+def light_rows(case: Case) -> dict[int, tuple[str, int]]:
     """Where light i of the case stands in the scene: kind and row."""
-    seen: dict[str, int] = {}
+    seen = {"directional": 0, "point": 0, "spot": 0}
     rows = {}
     for i, light in enumerate(case.lights):
-        rows[i] = (light.kind, seen.get(light.kind, 0))
-        seen[light.kind] = rows[i][1] + 1
+        rows[i] = (light.kind, seen[light.kind])
+        seen[light.kind] += 1
     return rows
 
 
-def _through_inverse(of_inverse: np.ndarray, inverse: Any) -> np.ndarray:
-    """The derivative by a matrix, from that by its inverse: -M^T G M^T with M the inverse."""
-    m = np.asarray(inverse, dtype=np.float64)[:, None]
-    mt = np.swapaxes(m, -1, -2)
-    return -mt @ of_inverse @ mt
+def _by_frame(derivative: Any, lights: Any, row: int, count: int) -> np.ndarray:
+    """The derivative by a light's frame [cases, 4, 3, 4], from those by `to_world` and by its inverse."""
+    whole = derivative.to_world[..., row, :, :].copy()
+    if hasattr(derivative, "to_local"):
+        whole[..., :3] += _through_inverse(derivative.to_local[..., row, :, :], lights.to_local[:count, row])
+    return whole
+
+
+def _through_inverse(by_inverse: np.ndarray, inverse: Any) -> np.ndarray:
+    """The derivative by a matrix, from that by its inverse M: -M^T G M^T."""
+    transposed = np.swapaxes(np.asarray(inverse, dtype=np.float64)[:, None], -1, -2)
+    return -transposed @ by_inverse @ transposed

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import pytest
 
-from answers import by_path, groups, inputs, stacked_forward, stacked_reverse
+from answers import Mode, by_path, groups, inputs, stacked
 from oracle import equation
 from oracle.case import Case, Fog, Light, Material, Options, Sample
 from oracle.paths import Path, get, put
@@ -80,13 +80,12 @@ def central_difference(case: Case, path: Path) -> np.ndarray:
 
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 @pytest.mark.parametrize("name", CASES)
-def test_every_field(name: str, mode: str) -> None:
+def test_every_field(name: str, mode: Mode) -> None:
     case = CASES[name]
     with jax.enable_x64(True):
         (group,) = groups([case])
         scene, samples = inputs(group, np.float64, chunk=1)
-        stacked = {"forward": stacked_forward, "reverse": stacked_reverse}[mode]
-        (got,) = by_path(stacked(scene, samples, group.plan), group, scene)
+        (got,) = by_path(stacked(mode, scene, samples, group.plan), group, scene)
     wanted = np.stack([central_difference(case, path) for path in group.paths])
     np.testing.assert_allclose(got, wanted, rtol=TOLERANCE, atol=TOLERANCE)
     # Every field but the radius matters, so that a derivative of 0 is no answer.

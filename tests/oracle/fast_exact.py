@@ -8,7 +8,7 @@ Cases may come in any order and of any shape; those of one shape are computed to
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -70,6 +70,23 @@ class Gradients:
         return np.where(np.isfinite(computed), np.maximum(np.maximum(below, above), 0), np.inf)
 
 
+@dataclass(frozen=True)
+class SecondDerivatives:
+    """Of n cases of one shape: the sums over j of d2f / dx_i dx_j times a step of x_j, [n, P, 4]; `size`: of the terms'
+    sizes."""
+
+    index: np.ndarray
+    paths: list[Path]
+    change: np.ndarray
+    size: np.ndarray
+    distances: dict[str, np.ndarray]
+
+    @property
+    def smooth(self) -> np.ndarray:
+        """[n]: nothing that has no second derivative within 16 ulp."""
+        return np.min([self.distances[kind] for kind in ("jump", "kink", "cone")], axis=0) >= MIN_DISTANCE
+
+
 def values(cases: Sequence[Case], precision: int = 32, *, conditioning: bool = True) -> Values:
     """Colour and alpha of every case, with its conditioning in float32 or float64 (else conditions are NaN)."""
     rgba = np.zeros((len(cases), 4), dtype=WIDE)
@@ -119,6 +136,27 @@ def _gradients_of_chunk(index: np.ndarray, columns: Columns, order: int, precisi
         change = np.abs(turned_over(frozenset([name])))
         low, high = low - change, high + change
     return Gradients(index, columns.paths, low, high, condition, tape.distances)
+
+
+def second_derivatives(
+    cases: Sequence[Case], direction: Callable[[Path], float], precision: int = 32
+) -> Iterator[SecondDerivatives]:
+    """How the derivatives change when every input x moves by x times what `direction` gives for its path."""
+    for index, columns in _chunks(cases, 2):
+        tape = FastTape(columns, 2, precision)
+        channels = _run(tape)
+        steps = columns.values * np.array([direction(path) for path in columns.paths])[:, None]
+        change = np.zeros((len(columns.paths), 4, columns.count), dtype=WIDE)
+        size = np.zeros_like(change)
+        for c, channel in enumerate(channels):
+            for (i, j), second in (channel.hessian or {}).items():
+                for row, other in {(i, j), (j, i)}:
+                    term = second * steps[other]
+                    change[row, c] += term
+                    size[row, c] += np.abs(term)
+        yield SecondDerivatives(
+            index, columns.paths, change.transpose(2, 0, 1), size.transpose(2, 0, 1), tape.distances
+        )
 
 
 def _independent_kinks(kinks: dict[str, np.ndarray]) -> list[dict[str, np.ndarray]]:

@@ -2,7 +2,7 @@
 
 XLA's CPU backend calls scalar library routines for pow, atan2 and rsqrt. In float32 the exponential, logarithm and
 arctangent here are minimax polynomials after an exact reduction by bits; in float64 exp and log are XLA's own.
-Errors, float32: `exp` 1 ulp + 1 ulp * |x|, `log_of_cosine` 1.5 ulp, `arctangent` 2 ulp.
+Errors, float32: `exp` 1 ulp + 1 ulp * |x|, `log_of_alignment` 1.5 ulp, `arctangent` 2 ulp.
 """
 
 from __future__ import annotations
@@ -126,19 +126,27 @@ def _reduced_exp(x: Array) -> tuple[Array, Array]:
     return power_of_two, r + r * r * polynomial(_EXP, r)
 
 
-def log_of_cosine(cosine: Float[Array, ...], versine: Float[Array, ...]) -> Float[Array, ...]:
-    """ln(cos a), 0 < cos a, from cos a and 1 - cos a: near a = 0 the digits are in the second."""
-    near = versine < 0.25
-    if cosine.dtype != jnp.float32:
-        return jnp.where(near, jnp.log1p(-jnp.where(near, versine, 0.0)), jnp.log(cosine))
-    # cosine = 2^e (1 + t) with 1 + t in [3/4, 3/2)
-    bits = _bits(cosine)
+@jax.custom_jvp
+def log_of_alignment(alignment: Float[Array, "..."]) -> Float[Array, "..."]:
+    """ln(cos a) from cos a where positive, and from cos a - 1 where not: near a = 0 the digits are in the second."""
+    near = alignment <= 0
+    if alignment.dtype != jnp.float32:
+        close = jnp.where(near, alignment, 0.0)
+        return jnp.where(near, jnp.log1p(close), jnp.log(jnp.where(near, 1.0, alignment)))
+    # cos a = 2^e (1 + t) with 1 + t in [3/4, 3/2)
+    bits = _bits(alignment)
     e = (bits - 0x3F400000) >> 23
-    t = jnp.where(near, -versine, _from_bits(bits - (e << 23), cosine.dtype) - 1.0)
-    e = jnp.where(near, 0, e).astype(cosine.dtype)
+    t = jnp.where(near, alignment, _from_bits(bits - (e << 23), alignment.dtype) - 1.0)
+    e = jnp.where(near, 0, e).astype(alignment.dtype)
     t2 = t * t
     log1p = t + (t2 * t * polynomial(_LOG, t) - 0.5 * t2)
     return e * _LN2_HIGH + (log1p + e * _LN2_LOW)
+
+
+@log_of_alignment.defjvp
+def _log_of_alignment_jvp(primals, tangents):
+    (alignment,), (change,) = primals, tangents
+    return log_of_alignment(alignment), change / jnp.where(alignment <= 0, 1.0 + alignment, alignment)
 
 
 def arctangent(y: Float[Array, ...], x: Float[Array, ...]) -> Float[Array, ...]:

@@ -10,10 +10,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .elementary import arctangent, exp, log_of_cosine, one_minus_exp
+from .elementary import arctangent, exp, log_of_alignment, one_minus_exp
 from .vectors import Vector, cross, dot
 
-_TINY = {jnp.dtype("float32"): 1e-30, jnp.dtype("float64"): 1e-280}
 _HUGE = {jnp.dtype("float32"): 1e37, jnp.dtype("float64"): 1e300}
 
 
@@ -25,47 +24,62 @@ def positive_part(x: Array) -> Array:
 # --- highlight: (N . H)^(128 shininess) -------------------------------------------------------------------------------
 
 AWAY = 1.0
-"""What stands for ln(N . H) where N . H <= 0; a true logarithm is never positive."""
+"""Stands for any N . H <= 0; a true alignment is at most 3/4."""
 
 
 @jax.custom_jvp
-def log_cosine(n: Vector, h: Vector, inverse: Array) -> Array:
-    """ln(N . H) for unit n, H = h / |h| and `inverse` = 1 / |h| (0 for h = 0); AWAY, with derivative 0, if N . H <= 0.
+def alignment(n: Vector, h: Vector, inverse: Array) -> Array:
+    """N . H for unit n, H = h / |h| and `inverse` = 1 / |h| (0 for h = 0); N . H - 1 where that is above -1/4.
 
     Close to N = H the dot product has no digits of the angle left, and an exponent of 128 would show it: there
-    1 - N . H is taken from the difference, |N - H|^2 / 2.
+    1 - N . H is taken from the difference, |N - H|^2 / 2. Where N . H <= 0: AWAY, with derivative 0.
     """
     towards = h.scaled(inverse)
     difference = n - towards
-    cosine = dot(n, towards)
-    faces = cosine > 0
-    value = log_of_cosine(jnp.where(faces, cosine, 1.0), 0.5 * dot(difference, difference))
-    return jnp.where(faces, value, AWAY)
+    cosine, versine = dot(n, towards), 0.5 * dot(difference, difference)
+    return jnp.where(cosine > 0, jnp.where(versine < 0.25, -versine, cosine), AWAY)
 
 
-@log_cosine.defjvp
-def _log_cosine_jvp(primals, tangents):
-    """d ln(n . h / |h|) = (n - H (n . H)) . dh / (|h| n . H) + H . dn / (n . H). The change of `inverse` is part of it.
+@alignment.defjvp
+def _alignment_jvp(primals, tangents):
+    """d(n . h / |h|) = (n - H (n . H)) . dh / |h| + H . dn. The change of `inverse` is part of that.
 
     n - H (n . H) is taken as D - H (D . H) with D = n - H: near the peak rounded lengths of n and H would otherwise
     leave a part along H, as large as the angle between them.
     """
     (n, h, inverse), (dn, dh, _) = primals, tangents
-    value = log_cosine(n, h, inverse)
+    value = alignment(n, h, inverse)
     towards = h.scaled(inverse)
     difference = n - towards
-    cosine = dot(n, towards)
-    faces = cosine > 0
-    secant = jnp.where(faces, 1.0 / jnp.maximum(jnp.where(faces, cosine, 1.0), _TINY[value.dtype]), 0.0)
     across = difference - towards.scaled(dot(difference, towards))
-    return value, dot(across.scaled(secant * inverse), dh) + dot(towards.scaled(secant), dn)
+    change = dot(across.scaled(inverse), dh) + dot(towards, dn)
+    return value, jnp.where(value == AWAY, 0.0, change)
 
 
-def highlight(log_cosine: Array, exponent: Array) -> Array:
-    """(N . H)^exponent from ln(N . H); where N . H <= 0 it is 0^exponent: 1 for exponent 0, else 0, derivative 0."""
-    faces = log_cosine != AWAY
-    power = exp(exponent * jnp.where(faces, log_cosine, 0.0))
-    return jnp.where(faces, power, jnp.where(exponent == 0, 1.0, 0.0))
+@jax.custom_jvp
+def highlight(alignment: Array, exponent: Array) -> Array:
+    """(N . H)^exponent from `alignment`; where N . H <= 0 it is 0^exponent: 1 for exponent 0, else 0, derivative 0."""
+    power = exp(exponent * log_of_alignment(alignment))
+    return jnp.where(alignment == AWAY, jnp.where(exponent == 0, 1.0, 0.0), power)
+
+
+@highlight.defjvp
+def _highlight_jvp(primals, tangents):
+    """d x^n = n x^(n-1) dx + x^n ln(x) dn; the products are formed first, for dx may be huge.
+
+    At most 2^24 dx: below exponent 1 the slope at 0 is infinite.
+    """
+    (x, exponent), (dx, d_exponent) = primals, tangents
+    power = highlight(x, exponent)
+    faces = x != AWAY
+    near = jnp.where(faces, x, 0.0)
+    cosine = jnp.where(near <= 0, 1.0 + near, near)
+    slope = jnp.minimum(exponent * (power / cosine), _STEEPEST)
+    change = slope * dx + (power * log_of_alignment(near)) * d_exponent
+    return power, jnp.where(faces, change, 0.0)
+
+
+_STEEPEST = 2.0**24
 
 
 # --- attenuation ------------------------------------------------------------------------------------------------------

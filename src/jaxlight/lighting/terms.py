@@ -82,10 +82,10 @@ def received(
         return Received(from_diffuse, None)
     exponent = 128.0 * material.shininess
     inverse = stage(lambda: inverse_length_in_range(l() + tile.to_viewer))
-    log_cosine = stage(lambda: factors.log_cosine(tile.normal, l() + tile.to_viewer, inverse))
+    alignment = stage(lambda: factors.alignment(tile.normal, l() + tile.to_viewer, inverse))
 
     def highlight() -> Array:
-        power = factors.highlight(log_cosine, exponent)
+        power = factors.highlight(alignment, exponent)
         return _times(reaching, jnp.where(dot(tile.normal, l()) > 0, power, 0.0) if specular_gate else power)
 
     return Received(from_diffuse, _sum_of_colors(lights.direct, stage(highlight)))

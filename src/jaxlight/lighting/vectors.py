@@ -53,6 +53,12 @@ def unit(v: Vector) -> tuple[Vector, Array]:
     return normalised(v, inverse_length(v))
 
 
+# Derivatives grow with 1 / |v|. They are those of a |v| of at least 2^-100 (float64: 2^-1000), so that they are finite.
+# Second derivatives grow with its square: one factor is held down to what keeps the product in range.
+_STEEPEST = {jnp.dtype("float32"): 2.0**100, jnp.dtype("float64"): 2.0**1000}
+_STEEPEST_SQUARED = {jnp.dtype("float32"): 2.0**107, jnp.dtype("float64"): 2.0**1007}
+
+
 @jax.custom_jvp
 def normalised(v: Vector, inverse: Array) -> tuple[Vector, Array]:
     """v / |v| and |v|, given `inverse` = 1 / |v| (or 0 for the zero vector) of this very v."""
@@ -68,8 +74,30 @@ def _normalised_jvp(primals, tangents):
     With cross products, because dv - u (u . dv) has no digits left along an axis that u almost points along.
     """
     (v, inverse), (dv, _) = primals, tangents
-    u, length = normalised(v, inverse)
-    return (u, length), (cross(u, cross(dv.scaled(inverse), u)), dot(u, dv))
+    u, length = _normalised_once(v, inverse)
+    return (u, length), _turned(u, dv, jnp.minimum(inverse, _STEEPEST[inverse.dtype]))
+
+
+@jax.custom_jvp
+def _normalised_once(v: Vector, inverse: Array) -> tuple[Vector, Array]:
+    """`normalised` within its derivative."""
+    return normalised(v, inverse)
+
+
+@_normalised_once.defjvp
+def _normalised_once_jvp(primals, tangents):
+    (v, inverse), (dv, _) = primals, tangents
+    u, length = _normalised_once(v, inverse)
+    return (u, length), _turned(u, dv, _second_factor(inverse))
+
+
+def _turned(u: Vector, dv: Vector, inverse: Array) -> tuple[Vector, Array]:
+    return cross(u, cross(dv.scaled(inverse), u)), dot(u, dv)
+
+
+def _second_factor(inverse: Array) -> Array:
+    """1 / |v|, or less, so that its product with 1 / |v| stays in range."""
+    return jnp.minimum(inverse, _STEEPEST_SQUARED[inverse.dtype] / jnp.where(inverse > 0, inverse, 1.0))
 
 
 @jax.custom_jvp
@@ -102,7 +130,7 @@ def _inverse_length_jvp(primals, tangents):
     """d(1/|v|) = -(u . dv) / |v|^2"""
     (v,), (dv,) = primals, tangents
     inverse = inverse_length(v)
-    return inverse, -(inverse * (inverse * dot(v.scaled(inverse), dv)))
+    return inverse, -(inverse * (_second_factor(inverse) * dot(v.scaled(inverse), dv)))
 
 
 inverse_length.defjvp(_inverse_length_jvp)

@@ -1,0 +1,128 @@
+"""One block of cases: jaxlight's colours and derivatives against the exact ones, in ulp and in ulp / condition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax
+import numpy as np
+
+import answers
+from oracle import fast_exact
+from oracle.case import Case
+from oracle.paths import Path
+from oracle.ulp import error_in_ulp, output_ulp
+
+Precision = Literal["float32", "float64"]
+BITS: dict[Precision, Any] = {"float32": 32, "float64": 64}
+MAX_CONDITION = {"float32": 2.0**23 / 32, "float64": 2.0**52 / 32}
+"""Of a derivative: beyond, 16 ulp times the condition is more than half of it, and first order says nothing."""
+
+LARGEST = {"float32": 2.0**100, "float64": 2.0**1000}
+"""Derivative that is asked for; of larger ones, only that they are finite."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Of N cases the worst of each: channels of the colour, or channels and inputs of the derivatives."""
+
+    ulp: np.ndarray
+    """[N] error in ulp; NaN where nothing is asked but to be finite."""
+    relative: np.ndarray
+    """[N] error in ulp / condition; NaN likewise."""
+    finite: np.ndarray
+    """[N] whether every number is."""
+    by_field: dict[str, np.ndarray]
+    """Derivatives: by input (`lights.location`), the errors in ulp / condition of the cases that have it."""
+
+
+class Block:
+    """Cases with their exact answers, for one precision."""
+
+    def __init__(self, cases: Sequence[Case], precision: Precision):
+        self.cases, self.precision = cases, precision
+        self.exact = fast_exact.values(cases, BITS[precision])
+        self.dtype = np.dtype(precision)
+        self._derivatives: list[fast_exact.Gradients] | None = None
+
+    @property
+    def derivatives(self) -> list[fast_exact.Gradients]:
+        """Exact derivatives, chunk by chunk."""
+        if self._derivatives is None:
+            self._derivatives = list(fast_exact.gradients(self.cases, BITS[self.precision]))
+        return self._derivatives
+
+    def judge_values(self) -> Judged:
+        """The colours."""
+        with jax.enable_x64(self.precision == "float64"):
+            computed = answers.values(self.cases, self.dtype)
+        ulp = error_in_ulp(computed, self.exact.rgba, BITS[self.precision])
+        relative = ulp / self.exact.condition
+        asked = self.exact.well_conditioned
+        return Judged(
+            ulp=np.where(asked, ulp.max(axis=1), np.nan).astype(np.float64),
+            relative=np.where(asked, relative.max(axis=1), np.nan).astype(np.float64),
+            finite=np.isfinite(computed).all(axis=1),
+            by_field={},
+        )
+
+    def judge_derivatives(self, mode: answers.Mode) -> Judged:
+        """The derivatives by every input, in one mode."""
+        count = len(self.cases)
+        with jax.enable_x64(self.precision == "float64"):
+            computed = answers.derivatives(self.cases, self.dtype, mode)
+        judged = Judged(np.full(count, np.nan), np.full(count, np.nan), np.ones(count, dtype=bool), {})
+        for exact in self.derivatives:
+            own = np.array([computed[i] for i in exact.index])
+            judged.finite[exact.index] = np.isfinite(own).all(axis=(1, 2))
+            self._compare(own, exact, judged)
+        return judged
+
+    def judge_second(self, count: int) -> Judged:
+        """The first `count` cases' second derivatives along a direction, forward over reverse.
+
+        Errors are in ulp of the sum of the sizes of what is added up; frames are left out (their inverses move too).
+        """
+        cases, bits = self.cases[:count], BITS[self.precision]
+        with jax.enable_x64(self.precision == "float64"):
+            computed = answers.derivatives(cases, self.dtype, "second")
+        judged = Judged(np.full(len(cases), np.nan), np.full(len(cases), np.nan), np.ones(len(cases), dtype=bool), {})
+        for exact in fast_exact.second_derivatives(cases, answers.direction, bits):
+            own = np.array([computed[i] for i in exact.index])
+            judged.finite[exact.index] = np.isfinite(own).all(axis=(1, 2))
+            kept = np.array(["frame" not in path for path in exact.paths])
+            asked = (exact.smooth & self.exact.well_conditioned[exact.index])[:, None, None]
+            asked = asked & kept[None, :, None] & (exact.size <= LARGEST[self.precision])
+            with np.errstate(invalid="ignore"):
+                error = np.abs(own - exact.change) / output_ulp(exact.size, bits)
+            error = np.where(asked, np.where(np.isfinite(own), error, np.inf), np.nan)
+            judged.ulp[exact.index] = judged.relative[exact.index] = _worst(error.reshape(len(error), -1))
+        return judged
+
+    def _compare(self, computed: np.ndarray, exact: fast_exact.Gradients, judged: Judged) -> None:
+        assert exact.condition is not None
+        ulp = exact.error_in_ulp(computed, BITS[self.precision])
+        asked = (exact.differentiable & self.exact.well_conditioned[exact.index])[:, None, None]
+        largest = np.maximum(np.abs(exact.low), np.abs(exact.high))
+        asked = asked & (exact.condition <= MAX_CONDITION[self.precision]) & (largest <= LARGEST[self.precision])
+        ulp = np.where(asked, ulp, np.nan)
+        relative = ulp / exact.condition
+        judged.ulp[exact.index] = _worst(ulp.reshape(len(ulp), -1))
+        judged.relative[exact.index] = _worst(relative.reshape(len(ulp), -1))
+        for i, path in enumerate(exact.paths):
+            errors = _worst(relative[:, i])
+            known = judged.by_field.get(field(path), np.zeros(0))
+            judged.by_field[field(path)] = np.concatenate([known, errors[~np.isnan(errors)]])
+
+
+def field(path: Path) -> str:
+    """The node field that a number belongs to: ("lights", 1, "location", 2) -> lights.location."""
+    return ".".join(step for step in path if isinstance(step, str))
+
+
+def _worst(errors: np.ndarray) -> np.ndarray:
+    """[n, k] -> [n], NaN where all are."""
+    worst = np.where(np.isnan(errors), -1.0, errors).max(axis=1)
+    return np.where(worst < 0, np.nan, worst).astype(np.float64)
