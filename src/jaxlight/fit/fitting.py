@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Literal, NamedTuple
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -16,35 +19,20 @@ import optimistix as optx
 from ..lighting import LightingOptions
 from ..scene.scene import Scene
 from . import normal
+from .checkpoint import Checkpoint, CheckpointWarning
 from .minimisers import minimise
 from .problem import Description, Problem, make_problem
+from .record import Record
 from .residuals import LossKind
 from .run import FitState, advance, begin, finished, make_solver
 from .solver import BoundedLevenbergMarquardt
 from .starts import explore, random_starts
+from .steps import Step, describe_step
+from .steps import rms as step_rms
 from .uncertainty import Uncertainty, uncertainty
 from .views import View, ViewData
 
 Outcome = Literal["converged", "max_steps", "stalled", "nonfinite", "interrupted"]
-
-
-class Step(NamedTuple):
-    """One evaluation of a fit, as progress and logs show it."""
-
-    step: int
-    """0 is the evaluation of the start."""
-    accepted: bool
-    loss: float
-    """At the best values so far."""
-    rms: float
-    """Root mean square of the weighted residuals that this loss means."""
-    gradient: float
-    """Largest slope that no bound holds back, in units of its column's norm: the residual it could still explain."""
-    damping: float
-    step_norm: float
-    """Size of the undamped step relative to the tolerance; below 1 is converged."""
-    seconds: float
-    """Since the fit began, compilation included."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -137,6 +125,10 @@ def fit(
     seed: int = 0,
     method: Any = None,
     progress: Callable[[Step], Any] | None = None,
+    log: str | Path | None = None,
+    checkpoint: str | Path | None = None,
+    checkpoint_seconds: float = 1.0,
+    resume: bool = False,
 ) -> Fit:
     """Fit the free fields of a scene to one or many views by bounded Levenberg-Marquardt.
 
@@ -155,26 +147,59 @@ def fit(
         method: an optimistix minimiser (`optimistix.LBFGS(1e-6, 1e-6)`, `optimistix.OptaxMinimiser(optax.adam(0.01),
             1e-6, 1e-6)`) instead of the bounded Levenberg-Marquardt; it shows no steps, and only approaches bounds.
         progress: called with a `Step` after each evaluation; an interrupt (Ctrl-C) returns the best so far.
+        log: file that gets a line of JSON a step (`RunLog` says which).
+        checkpoint: .npz file from which the fit can be resumed, also after its process was killed.
+        checkpoint_seconds: least time from one checkpoint to the next; 0: one after every step.
+        resume: carry on from the checkpoint, to the same numbers as if there had been no interruption; begin if there
+            is none yet. Random starts are not explored again.
 
     Raises:
-        ValueError: a path, shape, bound or value that does not fit, found before anything is compiled.
+        ValueError: a path, shape, bound or value that does not fit, found before anything is compiled; a checkpoint
+            that belongs to another fit or is damaged.
     """
     if starts < 1:
         raise ValueError(f"starts: expected at least 1, got {starts}")
+    if max_steps < 1:
+        raise ValueError(f"max_steps: expected at least 1, got {max_steps}")
+    if resume and checkpoint is None:
+        raise ValueError("resume: expected a checkpoint to resume from")
+    if method is not None and checkpoint is not None:
+        raise ValueError("checkpoint: only the bounded Levenberg-Marquardt has them, not another method")
     problem, description = make_problem(scene, views, free, loss=loss, loss_scale=loss_scale, options=options)
     solver = make_solver(problem, rtol=rtol, atol=atol)
     if method is not None:
-        return _fit_by(method, problem, description, solver, max_steps)
-    if starts > 1:
+        return _fit_by(method, problem, description, solver, max_steps, Record(log, None))
+    state, history, kept = None, None, None
+    if checkpoint is not None:
+        run = (starts, seed, description.labels, description.view_names)
+        kept = Checkpoint(checkpoint, problem, solver, run)
+        saved = kept.load() if resume else None
+        if saved is not None:
+            state, history = saved
+        elif resume:
+            warnings.warn(f"{checkpoint}: no checkpoint yet; the fit begins", CheckpointWarning, stacklevel=2)
+    if state is None and starts > 1:
         drawn = random_starts(problem, description.fields, starts, seed)
         state = begin(problem, solver, explore(problem, solver, drawn).best)
-        return run_fit(problem, description, solver, max_steps=max_steps, state=state, progress=progress)
-    return run_fit(problem, description, solver, max_steps=max_steps, progress=progress)
+    record = Record(log, kept, seconds=checkpoint_seconds, resumed=history)
+    return run_fit(
+        problem,
+        description,
+        solver,
+        max_steps=max_steps,
+        state=state,
+        history=history or (),
+        progress=progress,
+        record=record,
+    )
 
 
-def _fit_by(method: Any, problem: Problem, description: Description, solver: Any, max_steps: int) -> Fit:
+def _fit_by(
+    method: Any, problem: Problem, description: Description, solver: Any, max_steps: int, record: Record
+) -> Fit:
     """The fit that another minimiser makes, evaluated like one of ours."""
     began = time.monotonic()
+    record.begin(problem, description, begin(problem, solver), max_steps)
     values, converged, steps = minimise(problem, method, max_steps)
     state = advance(problem, solver, begin(problem, solver, values))
     history = [describe_step(problem, description, state, time.monotonic() - began)]
@@ -183,7 +208,9 @@ def _fit_by(method: Any, problem: Problem, description: Description, solver: Any
     outcome: Outcome = ("converged" if converged else "max_steps") if finite else "nonfinite"
     ending = "Converged" if converged and finite else "Not converged"
     message = f"{ending} by {type(method).__name__} in {steps} steps; residual RMS {made.rms:.3g}."
-    return dataclasses.replace(made, outcome=outcome, message=message)
+    made = dataclasses.replace(made, outcome=outcome, message=message)
+    record.end(made.outcome, made.message, loss=made.loss, values=made.values)
+    return made
 
 
 def run_fit(
@@ -193,55 +220,35 @@ def run_fit(
     *,
     max_steps: int = 100,
     state: FitState | None = None,
+    history: Sequence[Step] = (),
     progress: Callable[[Step], Any] | None = None,
+    record: Record | None = None,
 ) -> Fit:
-    """Drive a fit from its beginning, or from a saved state, to its end."""
-    if max_steps < 1:
-        raise ValueError(f"max_steps: expected at least 1, got {max_steps}")
-    history: list[Step] = []
-    state = begin(problem, solver) if state is None else state
+    """Drive a fit from its beginning, or from a saved state and the steps that led to it, to its end."""
+    record = Record(None, None) if record is None else record
+    steps = list(history)
+    began = time.monotonic() - (steps[-1].seconds if steps else 0.0)
     interrupted = False
+    state = begin(problem, solver) if state is None else state
     try:
-        for new_state, step in _steps(problem, description, solver, state, max_steps):
-            state = new_state
-            history.append(step)
+        record.begin(problem, description, state, max_steps)
+        # The start's evaluation comes on top: max_steps counts trials.
+        while not finished(state) and int(state.solver.num_steps) <= max_steps:
+            new_state = advance(problem, solver, state)
+            step = describe_step(problem, description, new_state, time.monotonic() - began, steps, max_steps)
+            state, steps = new_state, [*steps, step]
+            record.step(step, state, steps, problem.parameters.few)
             if progress is not None:
                 progress(step)
     except KeyboardInterrupt:
         interrupted = True
-    return make_fit(problem, description, state, history, interrupted=interrupted)
-
-
-def _steps(
-    problem: Problem, description: Description, solver: Any, state: FitState, max_steps: int
-) -> Iterator[tuple[FitState, Step]]:
-    began = time.monotonic()
-    # The start's evaluation comes on top: max_steps counts trials.
-    while not finished(state) and int(state.solver.num_steps) <= max_steps:
-        state = advance(problem, solver, state)
-        yield state, describe_step(problem, description, state, time.monotonic() - began)
-
-
-def describe_step(problem: Problem, description: Description, state: FitState, seconds: float) -> Step:
-    """What the last evaluation did, on the host."""
-    inner, parameters = state.solver, problem.parameters
-    norms = np.sqrt(np.maximum(np.asarray(inner.curvature.diagonal()), 0))
-    slope, values = np.asarray(inner.gradient), np.asarray(state.values)
-    held = ((values <= np.asarray(parameters.lower)) & (slope > 0)) | (
-        (values >= np.asarray(parameters.upper)) & (slope < 0)
-    )
-    gradient = np.where(held, 0, np.abs(slope)) / np.where(norms > 0, norms, 1)
-    value = float(inner.loss)
-    return Step(
-        step=int(inner.num_steps) - 1,
-        accepted=bool(inner.accepted),
-        loss=value,
-        rms=_rms(value, description.residuals),
-        gradient=float(np.max(gradient)),
-        damping=float(1 / inner.search_state.step_size),
-        step_norm=float(inner.step_norm),
-        seconds=seconds,
-    )
+    except BaseException as error:
+        record.end("error", f"{type(error).__name__}: {error}")
+        raise
+    record.save(state, steps)
+    made = make_fit(problem, description, state, steps, interrupted=interrupted)
+    record.end(made.outcome, made.message, loss=made.loss, rms=made.rms, values=made.values)
+    return made
 
 
 def make_fit(
@@ -255,8 +262,9 @@ def make_fit(
     """The result for a state, finished or not."""
     outcome = _outcome(state, interrupted)
     world = _world_at(problem, state.values)
-    value = float(state.solver.loss)
-    rms = _rms(value, description.residuals)
+    evaluated = not bool(state.solver.first_step)
+    value = float(state.solver.loss) if evaluated else math.nan
+    rms = step_rms(value, description.residuals)
     accepted, tried = int(state.solver.num_accepted_steps), max(int(state.solver.num_steps) - 1, 0)
     return Fit(
         scene=dataclasses.replace(world.scene, document=description.document),
@@ -291,6 +299,8 @@ def _outcome(state: FitState, interrupted: bool) -> Outcome:
 
 def _message(outcome: Outcome, accepted: int, tried: int, rms: float, *, at_kink: bool) -> str:
     trials = f"{accepted} steps ({tried} tried)"
+    if math.isnan(rms) and outcome == "interrupted":
+        return "Interrupted before the start values were evaluated; they are unchanged."
     if outcome == "converged" and at_kink:
         return (
             f"Converged in {trials} to a kink of the equation (samples where a light sets), within a tenth of a "
@@ -305,10 +315,6 @@ def _message(outcome: Outcome, accepted: int, tried: int, rms: float, *, at_kink
         "interrupted": f"Interrupted after {trials}, not converged; the best values so far are kept; "
         f"residual RMS {rms:.3g}.",
     }[outcome]
-
-
-def _rms(loss: float, count: int) -> float:
-    return float(np.sqrt(2 * loss / max(count, 1)))
 
 
 def residual_image(problem: Problem, values: Any, view: int) -> np.ndarray:

@@ -23,7 +23,8 @@ from ..image.encode import Transfer
 from ..lighting import LightingOptions
 from ..scene.paths import LIGHT_KINDS, light_rows
 from ..scene.scene import Flags, Scene
-from .fitting import Fit, Step
+from .fitting import Fit
+from .steps import Step
 from .views import View
 
 MAX_ROWS = 500

@@ -24,8 +24,18 @@ def written_whole(path: Path) -> Iterator[Path]:
         with draft.open("rb") as content:
             os.fsync(content.fileno())
         draft.replace(path)
+        _flush_folder(path.parent)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def _flush_folder(folder: Path) -> None:
+    """Make the new name of a file last: without it a power cut can bring the old file back."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def _umask() -> int:
