@@ -18,8 +18,7 @@ from .fit import Fit
 from .gradcheck import Gradcheck
 from .info import Info
 from .render import Render
-
-SUCCESS, FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+from .status import BAD_INPUT, FAILURE, INTERRUPTED, SUCCESS
 
 COMMANDS = {"info": Info, "render": Render, "fit": Fit, "gradcheck": Gradcheck}
 

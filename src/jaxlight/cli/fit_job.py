@@ -1,0 +1,209 @@
+"""One fit from a problem to a folder of results."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .files import spare
+from .fit_views import make_views
+from .options import use_precision
+from .problem import FitProblem, Source, blamed_on, input_files
+from .progress import stages
+from .start_values import with_start_values
+from .status import FAILURE, INTERRUPTED, SUCCESS
+
+if TYPE_CHECKING:
+    import jaxlight
+    from jaxlight.fit import Step
+
+MAX_ROWS = 60
+"""Numbers listed on the terminal."""
+_HEADING = (
+    f"{'step':>5} {'loss':>12} {'residual':>12} {'gradient':>10} {'step norm':>10} {'damping':>9} {'seconds':>8} "
+    f"{'left':>8}"
+)
+
+
+def outputs(problem: FitProblem, folder: Path) -> list[Path]:
+    """The files that a fit writes: results, then what it writes while it goes."""
+    pictures = [f"view_{row}.png" for row in range(len(problem.views))]
+    return [
+        folder / name for name in ("scene.x3d", *pictures, "report.html", "fit.json", "log.jsonl", "checkpoint.npz")
+    ]
+
+
+@dataclasses.dataclass(frozen=True)
+class FitJob:
+    """A problem, where its words come from, and how to go about it."""
+
+    problem: FitProblem
+    source: Source
+    resume: bool
+    quiet: bool
+
+    def run(self) -> int:
+        """Fit, write the results, and say how it went; the exit status."""
+        problem, source = self.problem, self.source
+        folder = self._folder()
+        *results, log, checkpoint = outputs(problem, folder)
+        use_precision(problem.precision)
+        with stages(2) as stage:
+            stage(f"reading {problem.scene}")
+            scene = self._scene()
+            stage("finding what is visible")
+            views = make_views(problem, source, scene)
+        from jaxlight import Free, fit
+
+        method = _method(problem)
+        if method is not None and self.resume:
+            raise ValueError(f"--resume: the solver {problem.solver} has no checkpoints")
+        frees = [dataclasses.asdict(one) for one in problem.frees]
+        options = problem.reading.lighting_options()
+        with blamed_on(source):
+            result = fit(
+                scene,
+                views,
+                [Free(one.pop("path"), **one) for one in frees],
+                loss=problem.loss,
+                loss_scale=None if problem.loss == "squares" else problem.loss_scale,
+                options=options,
+                max_steps=problem.max_steps,
+                rtol=problem.rtol,
+                atol=problem.atol,
+                starts=problem.starts,
+                seed=problem.seed,
+                method=method,
+                progress=None if self.quiet else _StepLines(),
+                log=log,
+                checkpoint=None if method is not None else checkpoint,
+                checkpoint_seconds=problem.checkpoint_seconds,
+                resume=self.resume,
+            )
+        self._write(result, views, results, options)
+        print(_summary(result))
+        print(f"\nwritten: {', '.join(str(path) for path in results)}")
+        if result.outcome == "interrupted":
+            return INTERRUPTED
+        return SUCCESS if result.converged else FAILURE
+
+    def _folder(self) -> Path:
+        """What can be said before anything is read."""
+        problem = self.problem
+        if problem.output is None:
+            raise self.source.error(("output",), "expected a folder for the results")
+        if not problem.views:
+            raise self.source.error(("views",), "expected at least one picture")
+        if not problem.free:
+            raise self.source.error(("free",), "expected at least one field (jaxlight info SCENE lists them)")
+        if problem.output.exists() and not problem.output.is_dir():
+            raise ValueError(f"{problem.output}: expected a folder, got a file")
+        spare(input_files(problem), outputs(problem, problem.output))
+        return problem.output
+
+    def _scene(self) -> jaxlight.Scene:
+        """The scene with its start values; every free path leads somewhere in it."""
+        from jaxlight import load
+        from jaxlight.scene.paths import select
+
+        with blamed_on(self.source, "scene"):
+            scene = load(self.problem.scene)
+        for path, values in self.problem.start.items():
+            with blamed_on(self.source, "start", path):
+                scene = with_start_values(scene, path, values)
+        for row, free in enumerate(self.problem.frees):
+            with blamed_on(self.source, "free", row):
+                chosen = select(scene, [path for path in free.paths if not path.startswith("View[")])
+                headlight = scene.directional is not None and scene.directional.headlight
+                if headlight and any(leaf.kind == "DirectionalLight" and mask[-1].any() for leaf, mask in chosen):
+                    raise ValueError("the headlight is the browser's, no file holds it; add a light to the scene")
+        return scene
+
+    def _write(self, result: Any, views: Sequence[Any], results: Sequence[Path], options: Any) -> None:
+        from jaxlight import encode, save, write_image
+        from jaxlight.fit.report import view_pictures, write_report
+        from jaxlight.formats.safe_write import written_whole
+
+        scene_file, *picture_files, report_file, numbers_file = results
+        with written_whole(numbers_file) as draft:
+            draft.write_text(json.dumps(_numbers(result), indent=2, allow_nan=False) + "\n")
+        asked = self.problem.views
+        for path, one, pictures in zip(picture_files, asked, view_pictures(result, views, options), strict=True):
+            write_image(path, encode(pictures.model, one.decode))
+        title = f"{self.problem.scene.name} fitted to {', '.join(one.picture.name for one in asked)}"
+        transfer = "srgb" if all(one.decode == "srgb" for one in asked) else "none"
+        write_report(report_file, result, views, title=title, options=options, transfer=transfer)
+        save(result.scene, scene_file)
+
+
+def _method(problem: FitProblem) -> Any:
+    """The optimistix minimiser that the problem asks for; None: the bounded Levenberg-Marquardt."""
+    if problem.solver == "levenberg-marquardt":
+        return None
+    import optimistix as optx
+
+    coarse = 1e-6 if problem.precision == "float64" else 1e-4
+    kind = optx.BFGS if problem.solver == "bfgs" else optx.LBFGS
+    return kind(coarse if problem.rtol is None else problem.rtol, coarse if problem.atol is None else problem.atol)
+
+
+class _StepLines:
+    """One line a step on stderr: a log that stays."""
+
+    def __init__(self) -> None:
+        self.begun = False
+
+    def __call__(self, step: Step) -> None:
+        if not self.begun:
+            print(_HEADING, file=sys.stderr)
+            self.begun = True
+        left = "" if math.isnan(step.seconds_left) else f"{step.seconds_left:.2f}"
+        refused = "" if step.accepted else "  refused"
+        print(
+            f"{step.step:5d} {step.loss:12.6g} {step.rms:12.6g} {step.gradient:10.2e} {step.step_norm:10.2e} "
+            f"{step.damping:9.1e} {step.seconds:8.2f} {left:>8}{refused}",
+            file=sys.stderr,
+            flush=True,
+        )
+
+
+def _numbers(result: Any) -> dict[str, Any]:
+    """The fit as data that JSON can carry."""
+    known = result.uncertainty
+    return {
+        "outcome": result.outcome,
+        "message": result.message,
+        "rms": _finite(result.rms),
+        "loss": _finite(result.loss),
+        "values": {
+            label: {"start": float(start), "fitted": float(value), "standard_error": _finite(float(error))}
+            for label, start, value, error in zip(
+                result.labels, result.start, result.values, known.standard_error, strict=True
+            )
+        },
+        "cautions": known.messages(),
+        "steps": [{name: _finite(value) for name, value in step._asdict().items()} for step in result.history],
+    }
+
+
+def _finite(value: float) -> float | None:
+    """The number, or None: JSON has neither infinity nor NaN."""
+    return value if math.isfinite(value) else None
+
+
+def _summary(result: Any) -> str:
+    """The fit for a person: how it ended, each number with its standard error, what to be careful about."""
+    known = result.uncertainty
+    width = max((len(label) for label in result.labels), default=0)
+    lines = [result.message, f"  {'':<{width}}  {'start':>12}  {'fitted':>12}  {'+-':>9}"]
+    table = list(zip(result.labels, result.start, result.values, known.standard_error, strict=True))
+    for label, old, new, error in table[:MAX_ROWS]:
+        lines.append(f"  {label:<{width}}  {float(old):>12.6g}  {float(new):>12.6g}  {float(error):>9.2g}")
+    if len(table) > MAX_ROWS:
+        lines.append(f"  and {len(table) - MAX_ROWS} more, all of them in fit.json")
+    return "\n".join([*lines, *known.messages()])

@@ -1,0 +1,112 @@
+"""From the views of a problem to what `fit` takes: pictures read, what is visible found."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .cameras import camera_of
+from .problem import FitProblem, MapsProblem, Source, ViewProblem, blamed_on
+
+if TYPE_CHECKING:
+    import jaxlight
+
+
+def make_views(problem: FitProblem, source: Source, scene: jaxlight.Scene) -> list[jaxlight.View]:
+    """The views, in their order; equal cameras and sizes share their samples.
+
+    Raises:
+        ValueError: a picture, map or camera that does not fit; says which, by `source`.
+    """
+    views = []
+    known: dict[Any, Any] = {}
+    stems = [view.picture.stem for view in problem.views]
+    for row, view in enumerate(problem.views):
+        stem = view.picture.stem
+        name = view.name or (stem if stems.count(stem) == 1 else f"{stem}_{row}")
+        views.append(_make_view(view, name, row, source, scene, known))
+    return views
+
+
+def _make_view(
+    view: ViewProblem, name: str, row: int, source: Source, scene: jaxlight.Scene, known: dict[Any, Any]
+) -> jaxlight.View:
+    from jaxlight import View, decode, read_image
+
+    with blamed_on(source, "views", row, "picture"):
+        target = read_image(view.picture)
+    height, width = target.shape[:2]
+
+    def beside(field: str, *, grey: bool) -> Any:
+        """A picture of the same size: [height, width], or with its components."""
+        path = getattr(view, field)
+        if not isinstance(path, Path):
+            return path
+        with blamed_on(source, "views", row, field):
+            image = read_image(path)
+            if image.shape[:2] != (height, width):
+                size = f"{image.shape[1]} x {image.shape[0]}"
+                raise ValueError(f"{path}: expected {width} x {height} pixels as in {view.picture}, got {size}")
+        if image.shape[2] in (2, 4):
+            image = image[..., :-1]
+        return image.mean(axis=-1) if grey or image.shape[2] == 1 else image
+
+    mask = beside("mask", grey=True)
+    mask = None if mask is None else mask >= 0.5
+    if target.shape[2] in (2, 4):
+        opaque = target[..., -1] > 0
+        target, mask = target[..., :-1], opaque if mask is None else mask & opaque
+    where = (view.viewpoint, view.camera, view.maps, view.samples, width, height)
+    if where not in known:
+        with blamed_on(source, "views", row, *_geometry_key(view)):
+            known[where] = _samples(view, scene, width, height)
+    # Integer formats end at 1; what lies there may have been brighter.
+    ends_at_one = view.picture.suffix.lower() != ".exr"
+    return View(
+        known[where],
+        decode(target, view.decode),
+        mask=mask,
+        weight=beside("weight", grey=False),
+        noise=beside("noise", grey=False),
+        exposure=view.exposure,
+        lights=view.lights,
+        saturated=1.0 if view.saturated is None and ends_at_one else view.saturated,
+        dark=view.dark,
+        background=beside("background", grey=False),
+        name=name,
+    )
+
+
+def _geometry_key(view: ViewProblem) -> tuple[str, ...]:
+    """The entry that says what is seen from where."""
+    given = [name for name in ("maps", "camera", "viewpoint") if getattr(view, name) is not None]
+    return tuple(given[:1])
+
+
+def _samples(view: ViewProblem, scene: jaxlight.Scene, width: int, height: int) -> jaxlight.SampleBuffer:
+    from jaxlight import Camera, Orthographic, rasterize, samples_from_maps
+
+    if view.camera is not None and view.viewpoint is not None:
+        raise ValueError("expected a camera or a viewpoint, not both")
+    if view.camera is not None:
+        camera = Camera.from_intrinsics(**dataclasses.asdict(view.camera))
+    elif view.maps is not None and view.viewpoint is None:
+        camera = Orthographic(view.maps.pixel_size)
+    else:
+        camera = camera_of(scene, view.viewpoint or "")
+    if view.maps is None:
+        assert isinstance(camera, Camera)
+        return rasterize(scene, camera, width, height, samples=view.samples)
+    if view.samples != 1:
+        raise ValueError("maps give one sample a pixel; leave out samples")
+    options = {
+        field.name: getattr(view.maps, field.name)
+        for field in dataclasses.fields(MapsProblem)
+        if field.name not in ("normal", "pixel_size")
+    }
+    samples = samples_from_maps(view.maps.normal, camera, **options)
+    if (samples.height, samples.width) != (height, width):
+        size = f"{samples.width} x {samples.height}"
+        raise ValueError(f"{view.maps.normal}: expected {width} x {height} pixels as in {view.picture}, got {size}")
+    return samples
