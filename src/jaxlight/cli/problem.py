@@ -30,8 +30,10 @@ class CommandLine:
     """Options; an entry is called by its option."""
 
     def error(self, key: Key, message: str) -> ValueError:
-        """`--free: message`; what belongs to a picture names that itself."""
-        return ValueError(f"--{key[0]}: {message}" if key and key[0] != "views" else message)
+        """`--free: message`, `--start: path: message`; what belongs to a picture names that itself."""
+        option = f"--{key[0]}: " if key and key[0] != "views" else ""
+        path = f"{key[1]}: " if option and len(key) > 1 and isinstance(key[1], str) else ""
+        return ValueError(f"{option}{path}{message}")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,9 @@ from ..formats.limits import read_bounded
 from .problem import OUTPUT, FitProblem
 from .toml_lines import Key, key_lines
 
+_SINGULAR = {float: "a number", int: "a whole number", str: "a text", bool: "true or false", Path: "a path"}
+_PLURAL = {float: "numbers", str: "texts"}
+
 
 class ProblemFile:
     """A problem file and where its keys stand.
@@ -138,11 +141,11 @@ def _words(kind: Any) -> str:
     if origin is Literal:
         return " or ".join(repr(word) for word in args)
     if origin is tuple:
-        return f"a list of {_words(args[0])}" if args[-1] is ... else f"a list of {len(args)}, each {_words(args[0])}"
+        kind = _PLURAL.get(args[0], "entries")
+        return f"a list of {kind}" if args[-1] is ... else f"a list of {len(args)} {kind}"
     if origin is dict or dataclasses.is_dataclass(kind):
         return "a table"
-    plain = {float: "a number", int: "a whole number", str: "a text", bool: "true or false", Path: "a path"}
-    return plain[kind]
+    return _SINGULAR[kind]
 
 
 def _shown(value: Any) -> str:

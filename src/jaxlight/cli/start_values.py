@@ -42,12 +42,12 @@ def with_start_values(scene: Scene, path: str, given: Numbers) -> Scene:
         numbers = np.array(leaf.get(scene))
         count = int(np.count_nonzero(mask))
         if not len(values) or count % len(values):
-            raise ValueError(f"{path}: expected 1 or {count} numbers, got {len(values)}")
+            raise ValueError(f"expected 1 or {count} numbers, got {len(values)}")
         allowed = leaf.range
         low = values <= allowed.lower if allowed.open_below else values < allowed.lower
         if not np.all(np.isfinite(values)) or np.any(low | (values > allowed.upper)):
             came = " ".join(f"{value:g}" for value in values.tolist())
-            raise ValueError(f"{path}: expected numbers in {allowed}, got {came}")
+            raise ValueError(f"expected numbers in {allowed}, got {came}")
         numbers[mask] = np.tile(values, count // len(values))
         scene = leaf.set(scene, jnp.asarray(numbers))
     return scene
