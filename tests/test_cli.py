@@ -406,6 +406,39 @@ sys.exit(main("render scene.x3d --output a.png".split()))
     assert not Path("a.png").exists()
 
 
+def test_ctrl_c_keeps_the_best_so_far_and_resume_ends_where_the_whole_fit_does(run, target: Path) -> None:
+    words = ["fit", "scene.x3d", str(target), *FREE, *START, "--output"]
+    code = f"""
+import os, signal, sys
+from jaxlight.cli import main
+from jaxlight.fit.record import RunLog
+
+write = RunLog.write
+
+def interrupting(log, event, **content):
+    write(log, event, **content)
+    if content.get("step") == 2:
+        os.kill(os.getpid(), signal.SIGINT)
+
+RunLog.write = interrupting
+sys.exit(main({[*words, "parts"]!r}))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 130, done.stderr
+    assert done.stdout.startswith("Interrupted after 2 steps (2 tried), not converged;")
+    assert json.loads(Path("parts/fit.json").read_text())["outcome"] == "interrupted"
+    assert "Interrupted" in Path("parts/report.html").read_text() and Path("parts/scene.x3d").exists()
+
+    assert run(*words, "whole").status == 0
+    assert run(*words, "parts", "--resume").status == 0
+    whole, parts = (json.loads(Path(name, "fit.json").read_text()) for name in ("whole", "parts"))
+    assert whole["values"] == parts["values"] and whole["message"] == parts["message"]
+    ends = [json.loads(line) for line in Path("parts/log.jsonl").read_text().splitlines()]
+    assert [line["event"] for line in ends if line["event"] != "step"] == ["begin", "end", "resume", "end"]
+    result = run(*words, "parts", "--resume", "--seed", 1)
+    assert result.status == 2 and "belongs to another fit" in result.err and result.err.count("\n") == 1
+
+
 def test_a_reader_that_goes_away_is_no_traceback(run) -> None:
     command = f"{sys.executable} -m jaxlight info scene.x3d | true"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60)
