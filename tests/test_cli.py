@@ -255,6 +255,7 @@ def test_fit_finds_the_material_and_writes_everything(run, target: Path) -> None
     assert len([1 for new, old in zip(scene.splitlines(), SCENE.splitlines(), strict=True) if new != old]) == 1
     page = Path("fitted/report.html").read_text()
     assert page.count("data:image/png;base64,") == 3 and "Material[red].shininess" in page
+    assert "The pictures determine every free number." in page and "<h2>Warnings</h2><p>None.</p>" in page
     assert "http" not in page.replace("http-equiv", "")
     kept = ["checkpoint.npz", "checkpoint.previous.npz", "log.jsonl"]
     assert sorted(os.listdir("fitted")) == sorted(["fit.json", "report.html", "scene.x3d", "view_0.png", *kept])

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import math
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,6 +51,10 @@ class FitJob:
 
     def run(self) -> int:
         """Fit, write the results, and say how it went; the exit status."""
+        with _heard() as warned:
+            return self._run(warned)
+
+    def _run(self, warned: list[str]) -> int:
         problem, source = self.problem, self.source
         folder = self._folder()
         *results, log, checkpoint = outputs(problem, folder)
@@ -85,7 +91,7 @@ class FitJob:
                 checkpoint_seconds=problem.checkpoint_seconds,
                 resume=self.resume,
             )
-        self._write(result, views, results, options)
+        self._write(result, views, results, options, warned)
         print(_summary(result))
         print(f"\nwritten: {', '.join(str(path) for path in results)}")
         if result.outcome == "interrupted":
@@ -124,7 +130,9 @@ class FitJob:
                     raise ValueError("the headlight is the browser's, no file holds it; add a light to the scene")
         return scene
 
-    def _write(self, result: Any, views: Sequence[Any], results: Sequence[Path], options: Any) -> None:
+    def _write(
+        self, result: Any, views: Sequence[Any], results: Sequence[Path], options: Any, warned: Sequence[str]
+    ) -> None:
         from jaxlight import encode, save, write_image
         from jaxlight.fit.report import view_pictures, write_report
         from jaxlight.formats.safe_write import written_whole
@@ -137,8 +145,25 @@ class FitJob:
             write_image(path, encode(pictures.model, one.decode))
         title = f"{self.problem.scene.name} fitted to {', '.join(one.picture.name for one in asked)}"
         transfer = "srgb" if all(one.decode == "srgb" for one in asked) else "none"
-        write_report(report_file, result, views, title=title, options=options, transfer=transfer)
+        write_report(report_file, result, views, title=title, options=options, transfer=transfer, warnings=warned)
         save(result.scene, scene_file)
+
+
+@contextlib.contextmanager
+def _heard() -> Iterator[list[str]]:
+    """The warnings of the block, in their order; they are shown as ever."""
+    heard: list[str] = []
+    shown = warnings.showwarning
+
+    def hear(message: Warning | str, *place: Any, **more: Any) -> None:
+        heard.append(str(message))
+        shown(message, *place, **more)
+
+    warnings.showwarning = hear
+    try:
+        yield heard
+    finally:
+        warnings.showwarning = shown
 
 
 def _method(problem: FitProblem) -> Any:

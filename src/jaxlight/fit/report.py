@@ -1,6 +1,7 @@
 """The report of a fit: one HTML file that needs nothing beside it, for a person to look at and to keep.
 
-Pictures (target, model, difference), what happened step by step, and every free number with its start, value and range.
+Pictures (target, model, difference), what happened step by step, every free number with its start, value and range,
+what the pictures do not tell, and the warnings of the run.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import base64
 import dataclasses
 import html
+import importlib.metadata
 import io
 import math
 from collections.abc import Sequence
@@ -31,6 +33,14 @@ MAX_ROWS = 500
 """Free numbers that are listed; a texture has more than a person reads."""
 
 
+UNFOLDED = 30
+"""Steps up to which their table is open."""
+SMALL = 300
+"""Pixels across, below which a picture is shown in its pixels instead of blurred."""
+SHOWN = 0.995
+"""Share of the differences that lie within the colours of the map."""
+
+
 class ViewPictures(NamedTuple):
     """One view as a report shows it. [height, width, 3], row 0 at the top, in the numbers of the target."""
 
@@ -49,6 +59,7 @@ def write_report(
     title: str = "Fit",
     options: LightingOptions | None = None,
     transfer: Transfer = "none",
+    warnings: Sequence[str] | None = None,
 ) -> None:
     """Write the report page (written whole or not at all).
 
@@ -59,8 +70,10 @@ def write_report(
         title: the page's heading.
         options: readings of the specification, as `fit` was given them.
         transfer: "srgb" if the views' numbers are linear light, so that they look right on the page.
+        warnings: what was said while scene and pictures were read and fitted, a sentence each; None: not known.
     """
-    page = report_page(result, view_pictures(result, views, options), title=title, transfer=transfer)
+    pictures = view_pictures(result, views, options)
+    page = report_page(result, pictures, title=title, transfer=transfer, warnings=warnings)
     with written_whole(Path(path)) as draft:
         draft.write_text(page, encoding="utf-8")
 
@@ -113,15 +126,21 @@ def _lit_by(scene: Scene, lights: Sequence[str] | None) -> Scene:
     return scene
 
 
-def report_page(result: Fit, pictures: Sequence[ViewPictures], *, title: str, transfer: Transfer = "none") -> str:
+def report_page(
+    result: Fit,
+    pictures: Sequence[ViewPictures],
+    *,
+    title: str,
+    transfer: Transfer = "none",
+    warnings: Sequence[str] | None = None,
+) -> str:
     """The page as text."""
     verdict = "good" if result.converged else "bad"
-    seconds = result.history[-1].seconds if result.history else 0.0
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>
 <h1>{html.escape(title)}</h1>
 <p class="{verdict}">{html.escape(result.message)}</p>
-<p>{len(result.labels)} free numbers, {result.description.residuals} residuals, {seconds:.2f} s with compilation.</p>
+<p>{_setting(result)}</p>
 <h2>Pictures</h2>
 {"".join(_view_section(one, transfer) for one in pictures) or "<p>Samples without pixels: nothing to show.</p>"}
 <h2>Steps</h2>
@@ -129,35 +148,63 @@ def report_page(result: Fit, pictures: Sequence[ViewPictures], *, title: str, tr
 {_steps_table(result.history)}
 <h2>Free numbers</h2>
 {_numbers_table(result)}
-{_cautions(result)}
+{_textures(result)}
+<h2>What the pictures do not tell</h2>
+{_sentences(result.uncertainty.messages(), "The pictures determine every free number.")}
+{"" if warnings is None else "<h2>Warnings</h2>" + _sentences(warnings, "None.")}
 </body></html>
 """
 
 
+def _setting(result: Fit) -> str:
+    """What was fitted by what, in a line."""
+    texels = sum(block.size for block in result.problem.parameters.blocks)
+    seconds = result.history[-1].seconds if result.history else 0.0
+    parts = [
+        f"{len(result.labels)} free numbers" + (f" and {texels} of textures" if texels else ""),
+        f"{result.description.residuals} residuals",
+        {"squares": "least squares"}.get(result.problem.loss_kind, f"{result.problem.loss_kind} loss"),
+        str(result.problem.parameters.start.dtype),
+        f"{seconds:.2f} s with compilation",
+        *(f"{name} {importlib.metadata.version(name)}" for name in ("jaxlight", "jax")),
+    ]
+    return ", ".join(parts) + "."
+
+
 def _view_section(view: ViewPictures, transfer: Transfer) -> str:
     difference = np.where(view.used[..., None], view.model - view.target, 0.0)
-    largest = float(np.max(np.abs(difference)))
+    sizes = np.abs(difference[view.used])
+    largest = float(np.max(sizes, initial=0))
+    # A few pixels at rims must not make all others look right.
+    scale = float(np.quantile(sizes, SHOWN)) if sizes.size else 0.0
     rms = float(np.sqrt(np.mean(difference[view.used] ** 2))) if np.any(view.used) else math.nan
-    shown = np.where(view.used[..., None], _diverging(difference.mean(axis=-1) / (largest or 1.0)), 0.5)
+    shown = np.where(view.used[..., None], _diverging(difference.mean(axis=-1) / (scale or 1.0)), 0.5)
     figures = [
         ("target", encode(view.target, transfer)),
         ("model", encode(view.model, transfer)),
-        (f"model - target, blue -{largest:.3g} to red +{largest:.3g}; grey: not looked at", shown),
+        (f"model - target, blue -{scale:.3g} to red +{scale:.3g}, {SHOWN:.1%} within; grey: not looked at", shown),
     ]
+    heading = f"{html.escape(view.name)}: difference RMS {rms:.3g}, largest {largest:.3g}"
+    return f"<h3>{heading}</h3>{_figures(figures)}"
+
+
+def _figures(figures: Sequence[tuple[str, Any]]) -> str:
+    """Captions and pictures, side by side."""
     cells = "".join(f"<figure>{_png(image)}<figcaption>{caption}</figcaption></figure>" for caption, image in figures)
-    return f"<h3>{html.escape(view.name)}: difference RMS {rms:.3g}, largest {largest:.3g}</h3><div>{cells}</div>"
+    return f'<div class="pictures">{cells}</div>'
 
 
 def _png(image: Any) -> str:
     levels = np.rint(np.clip(np.asarray(image), 0, 1) * 255).astype(np.uint8)
     data = io.BytesIO()
     Image.fromarray(levels).save(data, "PNG")
-    return f'<img src="data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}" alt="">'
+    kind = ' class="small"' if levels.shape[1] < SMALL else ""
+    return f'<img{kind} src="data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}" alt="">'
 
 
 def _diverging(values: np.ndarray) -> np.ndarray:
-    """[-1, 1] to blue, white, red."""
-    size = np.abs(values)[..., None]
+    """[-1, 1] to blue, white, red; what lies beyond is as the ends."""
+    size = np.minimum(np.abs(values), 1)[..., None]
     end = np.where(values[..., None] > 0, (0.70, 0.02, 0.12), (0.02, 0.19, 0.58))
     return (1 - size) + size * end
 
@@ -200,12 +247,14 @@ def _convergence_chart(history: Sequence[Step]) -> str:
 
 def _steps_table(history: Sequence[Step]) -> str:
     rows = "".join(
-        f"<tr><td>{step.step}</td><td>{'taken' if step.accepted else 'refused'}</td><td>{step.rms:.6g}</td>"
-        f"<td>{step.gradient:.2e}</td><td>{step.damping:.1e}</td><td>{step.seconds:.2f}</td></tr>"
+        f"<tr><td>{step.step}</td><td>{'taken' if step.accepted else 'refused'}</td><td>{step.loss:.6g}</td>"
+        f"<td>{step.rms:.6g}</td><td>{step.gradient:.2e}</td><td>{step.step_norm:.2e}</td>"
+        f"<td>{step.damping:.1e}</td><td>{step.seconds:.2f}</td></tr>"
         for step in history
     )
-    heads = ("step", "", "residual RMS", "gradient", "damping", "seconds")
-    return f"<table>{_heads(heads)}{rows}</table>"
+    heads = ("step", "", "loss", "residual RMS", "gradient", "step / tolerance", "damping", "seconds")
+    unfolded = " open" if len(history) <= UNFOLDED else ""
+    return f"<details{unfolded}><summary>Every step</summary><table>{_heads(heads)}{rows}</table></details>"
 
 
 def _numbers_table(result: Fit) -> str:
@@ -219,18 +268,37 @@ def _numbers_table(result: Fit) -> str:
         note = f"at its {bounds[label]} bound" if label in bounds else "" if np.isfinite(error) else "not determined"
         rows.append(
             f"<tr><td>{html.escape(label)}</td><td>{start[i]:.6g}</td><td>{float(result.values[i]):.6g}</td>"
-            f"<td>{error:.2g}</td><td>{lower[i]:.3g} to {upper[i]:.3g}</td><td>{note}</td></tr>"
+            f"<td>{f'{error:.2g}' if np.isfinite(error) else '-'}</td><td>{_range(lower[i], upper[i])}</td><td>{note}</td></tr>"
         )
     heads = ("number", "start", "fitted", "standard error", "range", "")
     more = f"<p>and {len(result.labels) - MAX_ROWS} more</p>" if len(result.labels) > MAX_ROWS else ""
     return f"<table>{_heads(heads)}{''.join(rows)}</table>{more}"
 
 
-def _cautions(result: Fit) -> str:
-    """What to know before believing the numbers."""
-    sentences = result.uncertainty.messages()
+def _range(lower: float, upper: float) -> str:
+    if math.isinf(lower) and math.isinf(upper):
+        return "any"
+    if math.isinf(upper):
+        return f"from {lower:.3g}"
+    return f"up to {upper:.3g}" if math.isinf(lower) else f"{lower:.3g} to {upper:.3g}"
+
+
+def _textures(result: Fit) -> str:
+    """Whole textures that were free, before and after; their row 0 is at the bottom."""
+    sections = []
+    parameters = result.problem.parameters
+    for block in parameters.blocks:
+        figures = []
+        for caption, values in (("start", parameters.start), ("fitted", result.state.values)):
+            image = np.asarray(block.image(values))[::-1]
+            figures.append((caption, np.broadcast_to(image, (*image.shape[:2], 3))))
+        sections.append(f"<h3>{html.escape(block.path)}</h3>{_figures(figures)}")
+    return "".join(sections)
+
+
+def _sentences(sentences: Sequence[str], otherwise: str) -> str:
     listed = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences)
-    return f"<h2>What the pictures do not tell</h2><ul>{listed}</ul>" if sentences else ""
+    return f"<ul>{listed}</ul>" if sentences else f"<p>{otherwise}</p>"
 
 
 def _heads(names: Sequence[str]) -> str:
@@ -239,12 +307,15 @@ def _heads(names: Sequence[str]) -> str:
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; color: #222 }
-figure { display: inline-block; margin: 0 1rem 1rem 0; width: 21rem; vertical-align: top }
-img { width: 100%; image-rendering: auto; border: 1px solid #ccc }
+.pictures { display: grid; grid-template-columns: repeat(3, minmax(0, 1fr)); gap: 1rem }
+figure { margin: 0 }
+img { width: 100%; border: 1px solid #ccc; box-sizing: border-box }
+img.small { image-rendering: pixelated }
 figcaption { font-size: 85%; color: #555 }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums }
 td, th { padding: .15rem .9rem .15rem 0; text-align: right; border-bottom: 1px solid #eee }
 td:first-child, th:first-child { text-align: left }
 .good { color: #17692f; font-weight: 600 } .bad { color: #a01c1c; font-weight: 600 }
+summary { cursor: pointer; margin: .5rem 0 }
 svg text { font-size: 11px; fill: #555 }
 """
