@@ -268,7 +268,8 @@ def _numbers_table(result: Fit) -> str:
         note = f"at its {bounds[label]} bound" if label in bounds else "" if np.isfinite(error) else "not determined"
         rows.append(
             f"<tr><td>{html.escape(label)}</td><td>{start[i]:.6g}</td><td>{float(result.values[i]):.6g}</td>"
-            f"<td>{f'{error:.2g}' if np.isfinite(error) else '-'}</td><td>{_range(lower[i], upper[i])}</td><td>{note}</td></tr>"
+            f"<td>{f'{error:.2g}' if np.isfinite(error) else '-'}</td>"
+            f"<td>{_range(lower[i], upper[i])}</td><td>{note}</td></tr>"
         )
     heads = ("number", "start", "fitted", "standard error", "range", "")
     more = f"<p>and {len(result.labels) - MAX_ROWS} more</p>" if len(result.labels) > MAX_ROWS else ""
