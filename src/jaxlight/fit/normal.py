@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -20,7 +19,7 @@ from .curvature import NormalEquations
 from .parameters import World
 from .problem import Problem, scene_of_view
 from .residuals import half_loss, reweight, view_colors, weighted_difference
-from .streaming import Adder, Tile, over_tiles, over_views, split_inputs, view_inputs
+from .streaming import Adder, Tile, derivatives_by_tile, over_tiles, over_views, view_inputs
 from .texels import neighbour_loss, texel_equations
 from .views import ViewData
 
@@ -46,32 +45,31 @@ def normal_equations(problem: Problem, values: Float[Array, " parameters"]) -> N
     """Loss, gradient and Gauss-Newton matrix at these values."""
     if problem.parameters.blocks:
         return texel_equations(problem, values)
-    count = values.shape[0]
-    directions = jnp.eye(count, dtype=values.dtype)
+    columns = problem.columns
 
-    def products(residual: Array, jacobian: Array) -> tuple[Array, Array, Array]:
+    def products(residual: Array, planes: Array) -> tuple[Array, Array, Array]:
         weight = reweight(*problem.rho, residual)
-        jacobian, flat = jacobian.reshape(count, -1), residual.reshape(-1)
-        weighted = jacobian if weight is None else jacobian * weight.reshape(-1)
-        return half_loss(*problem.rho, residual), _dot(weighted, flat), _dot(weighted, jacobian.T)
+        weighted = planes if weight is None else planes * weight[:, None]
+        channels = range(residual.shape[0])
+        slope = jnp.stack([_dot(weighted[c], residual[c]) for c in channels])
+        square = jnp.stack([_dot(weighted[c], planes[c].T) for c in channels])
+        return half_loss(*problem.rho, residual), slope, square
 
     def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
         if view.pixel is not None:
             residual, push = jax.linearize(lambda v: view_residual(problem, problem.at(v), view), values)
-            return add(carry, products(residual, jax.lax.map(push, directions)))
-        # The scene is linearised once a view, the tiles with respect to what the scene comes to.
-        inputs, push = jax.linearize(lambda v: split_inputs(problem, view_inputs(problem, view, v))[0], values)
-        fixed = split_inputs(problem, view_inputs(problem, view, values))[1]
-        tangents = jax.vmap(push)(directions)
+            planes = jax.lax.map(push, jnp.concatenate([columns.weighing, columns.shaping]))
+            return add(carry, products(residual, jnp.swapaxes(planes, 0, 1)))
+        derivatives = derivatives_by_tile(problem, view, values)
+        return over_tiles(problem, view, lambda carry, tile: (add(carry, products(*derivatives(tile))), None), carry)[0]
 
-        def of_tile(carry: Any, tile: Tile) -> Any:
-            residual, push = jax.linearize(lambda moving: tile.residual(eqx.combine(moving, fixed)), inputs)
-            return add(carry, products(residual, jax.vmap(push)(tangents))), None
-
-        return over_tiles(problem, view, of_tile, carry)[0]
-
-    zeros = (jnp.zeros((), values.dtype), jnp.zeros(count, values.dtype), jnp.zeros((count, count), values.dtype))
-    total, gradient, curvature = over_views(problem, of_view, zeros)
+    zeros = (
+        jnp.zeros((), values.dtype),
+        jnp.zeros((3, columns.count), values.dtype),
+        jnp.zeros((3, columns.count, columns.count), values.dtype),
+    )
+    total, slope, square = over_views(problem, of_view, zeros)
+    gradient, curvature = columns.gathered_slope(slope), columns.gathered(square)
     parameters = problem.parameters
     gradient = gradient + parameters.prior_precision * (values - parameters.prior_mean)
     curvature = (curvature + curvature.T) / 2 + jnp.diag(parameters.prior_precision)

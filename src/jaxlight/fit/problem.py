@@ -17,6 +17,7 @@ from ..lighting.shade import check_samples
 from ..scene.flags import Flags
 from ..scene.paths import LIGHT_ATTRIBUTES, Leaf
 from ..scene.scene import Scene
+from .columns import Columns, columns_of
 from .free import free_parameters
 from .parameters import FreeField, Parameters, World
 from .residuals import LossKind
@@ -31,6 +32,7 @@ class Problem(eqx.Module):
     world: World
     """The scene and exposures at the start; fields that are not free keep these values."""
     parameters: Parameters
+    columns: Columns
     strides: Strides
     sampling: tuple[TexelSampling, ...]
     """Which texels of whole free textures each stack of views sees; empty if there are none."""
@@ -106,6 +108,7 @@ def make_problem(
     problem = Problem(
         world=world,
         parameters=parameters,
+        columns=columns_of(parameters, dtype),
         strides=_strides(scene, parameters, fields, each, dtype),
         sampling=texel_sampling(stacks, scene.surfaces, parameters.blocks),
         views=stacks,

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..lighting.prepared import Prepared, prepare
+from ..lighting.stages import Stage
 from ..lighting.tiles import Run, surface_runs, tile_color, tile_of
 from .problem import Problem, scene_of_view
 from .residuals import composited, weighted_difference
@@ -51,13 +52,34 @@ def view_inputs(problem: Problem, view: ViewData, values: Float[Array, " paramet
     return ViewInputs(prepare(scene_of_view(world, view), view.samples, view.plan), world.exposure[view.row])
 
 
-def split_inputs(problem: Problem, inputs: ViewInputs) -> tuple[ViewInputs, ViewInputs]:
-    """(what derivatives by labelled numbers go through, the rest): textures only where texels are such numbers."""
+def split_inputs(problem: Problem, inputs: ViewInputs) -> tuple[ViewInputs, ViewInputs, ViewInputs]:
+    """(what weighing directions move, what shaping ones move, what none moves), see `columns`.
+
+    Textures are moved only where texels are labelled numbers.
+    """
     moving, fixed = eqx.partition(inputs, eqx.is_inexact_array)
-    if any(leaf.leaf is not None and leaf.leaf.kind == "Texture" for leaf in problem.parameters.leaves):
-        return moving, fixed
-    nothing = (None,) * len(inputs.prepared.textures)
-    return eqx.tree_at(_textures, moving, nothing), eqx.tree_at(_textures, fixed, _textures(inputs), is_leaf=_is_none)
+    if not any(leaf.leaf is not None and leaf.leaf.kind == "Texture" for leaf in problem.parameters.leaves):
+        nothing = (None,) * len(inputs.prepared.textures)
+        moving = eqx.tree_at(_textures, moving, nothing)
+        fixed = eqx.tree_at(_textures, fixed, _textures(inputs), is_leaf=_is_none)
+    nowhere = jax.tree.map(lambda _: False, moving)
+    weighs = eqx.tree_at(_weights, nowhere, replace_fn=lambda tree: jax.tree.map(lambda _: True, tree))
+    weighing, shaping = eqx.partition(moving, weighs)
+    return weighing, shaping, fixed
+
+
+def _weights(inputs: ViewInputs) -> list[Any]:
+    """What colours and strengths come to."""
+    prepared = inputs.prepared
+    found: list[Any] = [inputs.exposure]
+    if prepared.materials is not None:
+        materials = prepared.materials
+        found += [materials.diffuse_color, materials.specular_color, materials.emissive_color]
+        found += [materials.ambient_intensity, materials.transparency]
+    for lights in (prepared.directional, prepared.point, prepared.spot):
+        if lights is not None:
+            found += [lights.direct] if lights.ambient is None else [lights.direct, lights.ambient]
+    return found if prepared.fog is None else [*found, prepared.fog.color]
 
 
 def with_textures(inputs: ViewInputs, images: tuple[Array, ...]) -> ViewInputs:
@@ -71,6 +93,40 @@ def _textures(inputs: ViewInputs) -> Any:
 
 def _is_none(leaf: Any) -> bool:
     return leaf is None
+
+
+def derivatives_by_tile(
+    problem: Problem, view: ViewData, values: Float[Array, " parameters"]
+) -> Callable[[Tile], tuple[Array, Array]]:
+    """A function of a tile: its residuals [3, samples] and their derivatives [3, directions, samples], see `columns`.
+
+    The scene is linearised once a view, the tiles with respect to what the scene comes to.
+    """
+    columns, few = problem.columns, problem.parameters.few
+
+    def parts_at(numbers: Array) -> tuple[ViewInputs, ViewInputs, ViewInputs]:
+        return split_inputs(problem, view_inputs(problem, view, jnp.concatenate([numbers, values[few:]])))
+
+    fixed = parts_at(values[:few])[2]
+    (weighing, shaping), push = jax.linearize(lambda numbers: parts_at(numbers)[:2], values[:few])
+    weights_move = jax.vmap(push)(columns.weighing)[0]
+    weights_too, shapes_move = jax.vmap(push)(columns.shaping)
+    if columns.mixed:
+        shaping, shapes_move = eqx.combine(weighing, shaping), eqx.combine(weights_too, shapes_move)
+
+    def of_tile(tile: Tile) -> tuple[Array, Array]:
+        residual = tile.residual(eqx.combine(weighing, shaping, fixed))
+        planes = [jnp.zeros((3, 0, residual.shape[1]), residual.dtype)]
+        stage = Stage(tile.index >= 0)
+        if columns.weighing.shape[0]:
+            residual, push = jax.linearize(lambda w: tile.residual(eqx.combine(w, shaping, fixed)), weighing)
+            planes.append(stage(lambda: jax.vmap(push, out_axes=1)(weights_move)))
+        if columns.shaping.shape[0]:
+            residual, push = jax.linearize(lambda s: tile.residual(eqx.combine(s, weighing, fixed)), shaping)
+            planes.append(stage(lambda: jax.vmap(push, out_axes=1)(shapes_move)))
+        return residual, jnp.concatenate(planes, axis=1)
+
+    return of_tile
 
 
 def over_views(problem: Problem, of_view: Callable[[ViewData, Adder, Carry], Carry], zeros: tuple[Array, ...]) -> Any:

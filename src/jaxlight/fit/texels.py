@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -19,7 +18,7 @@ from .parameters import TexelBlock
 from .problem import Problem
 from .residuals import half_loss, reweight
 from .sampling import block_of
-from .streaming import Tile, add_terms, added_up, over_tiles, split_inputs, view_inputs, with_textures
+from .streaming import Tile, add_terms, added_up, derivatives_by_tile, over_tiles, view_inputs, with_textures
 from .views import ViewData
 
 _EDGE = 1e-2
@@ -30,22 +29,16 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
     """Loss, gradient and curvature at these values, priors included."""
     parameters = problem.parameters
     count, dtype = parameters.few, values.dtype
-    few, texels = values[:count], values[count:]
-    directions = jnp.eye(count, dtype=dtype)
 
     def of_view(carry: Any, view: ViewData) -> tuple[Any, Any]:
-        def inputs_at(numbers: Array) -> Any:
-            return split_inputs(problem, view_inputs(problem, view, jnp.concatenate([numbers, texels])))
-
-        moving, push = jax.linearize(lambda numbers: inputs_at(numbers)[0], few)
-        fixed = inputs_at(few)[1]
-        tangents = jax.vmap(push)(directions)
-        images = eqx.combine(moving, fixed).prepared.textures
+        inputs = view_inputs(problem, view, values)
+        images = inputs.prepared.textures
+        derivatives = derivatives_by_tile(problem, view, values)
 
         def of_tile(carry: Any, tile: Tile) -> tuple[Any, Any]:
             sums, tables = carry
-            residual, push = jax.linearize(lambda m: tile.residual(eqx.combine(m, fixed)), moving)
-            jacobian = jax.vmap(push)(tangents)
+            residual, planes = derivatives(tile)
+            jacobian = problem.columns.jacobian(planes)
             weight = reweight(*problem.rho, residual)
             heard = jnp.ones_like(residual) if weight is None else weight
             flat = (jacobian * heard).reshape(count, residual.size)
@@ -60,7 +53,7 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
             block = block_of(tile.run, parameters.blocks)
             if block < 0:
                 return (sums, tables), None
-            change = _change_by_texel(tile, eqx.combine(moving, fixed), images, parameters.blocks[block])
+            change = _change_by_texel(tile, inputs, images, parameters.blocks[block])
             rows, strength = _texel_rows(tile, parameters.blocks[block].shape[2], change, heard, residual, jacobian)
             index = tile.cut(view.samples.texel_index).reshape(-1)  # type: ignore[arg-type]  # the block's samples have it
             tables = list(tables)
