@@ -16,8 +16,9 @@ import tyro
 
 from jaxlight.fit import Fit, Free, View, fit
 from jaxlight.fit.problem import Description, Problem, make_problem
-from jaxlight.fit.run import make_solver, solve
+from jaxlight.fit.run import advance, begin, make_solver, solve
 from jaxlight.fit.uncertainty import uncertainty
+from jaxlight.lighting import make_plan, shade_planes
 
 from .contenders.jaxlight_shade import samples_of, scene_of
 from .fit_problem import WORK, with_values
@@ -36,6 +37,11 @@ FREE: list[Any] = [
 ]
 """Ten numbers. The gauge: one channel of the light is known and the highlight is grey."""
 AMBIENT = "Material[0].ambient_intensity"
+EVERYTHING = [
+    *(f"Material[0].{field}" for field in ("diffuse_color", "specular_color", "emissive_color", "shininess")),
+    AMBIENT,
+    *(f"PointLight[0].{field}" for field in ("color", "intensity", "ambient_intensity", "location", "attenuation")),
+]
 TRUTH = {
     "material.diffuse_color": np.array([0.6, 0.3, 0.2]),
     "material.specular_color": np.full(3, 0.4),
@@ -56,7 +62,7 @@ START = {
 class Options:
     """Figures of fits whose answer is known. Each part prints a table."""
 
-    only: tuple[str, ...] = ("steps", "bounds", "starts", "intervals", "texture")
+    only: tuple[str, ...] = ("steps", "cost", "bounds", "starts", "intervals", "texture")
     """Which parts."""
     quick: bool = False
     """Small pictures and few fits, to see that it works; the figures mean little."""
@@ -121,6 +127,36 @@ def steps(options: Options) -> str:
             error = relative_error(found, truth_of(one, FREE))
         rows.append([precision, found.accepted_steps, len(found.history) - 1, error, warm, first - warm, found.outcome])
     return table(["precision", "accepted steps", "tried", "relative error", "seconds", "compile s", "outcome"], rows)
+
+
+def cost(options: Options) -> str:
+    """Processor time of one step: loss of the trial, J^T J and J^T r where it is taken, and the step after it."""
+    size = 64 if options.quick else 512
+    work = dataclasses.replace(WORK, samples=size**2)
+    arrays = make_arrays(work)
+    scene, samples = scene_of(work, arrays, np.float32), samples_of(arrays, np.float32)
+    plan = make_plan(scene, samples, free=True)
+    target = answer(work, with_values(arrays, TRUTH), gradient=False).colors.T
+    problem, _ = make_problem(scene, View(samples, target), EVERYTHING)
+    solver = make_solver(problem)
+    state = advance(problem, solver, begin(problem, solver))
+    forward = processor_seconds(lambda: shade_planes(scene, samples, plan=plan))
+    step = processor_seconds(lambda: advance(problem, solver, state))
+    numbers = len(problem.parameters.start)
+    return table(
+        ["numbers", "forward ms", "step ms", "step / forward"], [[numbers, 1e3 * forward, 1e3 * step, step / forward]]
+    )
+
+
+def processor_seconds(run: Callable[[], Any], calls: int = 15) -> float:
+    """Median of warm calls."""
+    jax.block_until_ready(run())
+    taken = []
+    for _ in range(calls):
+        began = time.process_time()
+        jax.block_until_ready(run())
+        taken.append(time.process_time() - began)
+    return float(np.median(taken))
 
 
 def bounds(options: Options) -> str:
@@ -240,6 +276,7 @@ def texture(options: Options) -> str:
 
 PARTS = {
     "steps": (steps, "One material and one point light from one picture of a sphere"),
+    "cost": (cost, "A step on 512 x 512 samples"),
     "bounds": (bounds, "The true value on a bound"),
     "starts": (starts, "Random starts"),
     "intervals": (intervals, "Intervals of noisy fits"),

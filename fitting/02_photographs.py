@@ -191,8 +191,10 @@ def error_table(found: dict[int, HeldOut]) -> str:
 
     rows = [row(str(number), each.errors.values(), each.direction) for number, each in found.items()]
     if len(rows) > 1:
-        means = [np.mean([each.errors[method] for each in found.values()], axis=0) for method in methods]
-        rows.append(row("mean", means, float(np.mean([each.direction for each in found.values()]))))
+        directions = [each.direction for each in found.values()]
+        for head, middle in (("mean", np.mean), ("median", np.median)):
+            errors = [middle([each.errors[method] for each in found.values()], axis=0) for method in methods]
+            rows.append(row(head, errors, float(middle(directions))))
     return "\n".join(
         [
             "Mean (median) absolute error of the held-out photograph, of a range of 1; degrees between its lamp",
@@ -211,7 +213,11 @@ def save_prediction(path: Path, cat: Cat, number: int, seen: np.ndarray, predict
 
 
 def main(
-    output: Path = Path("output/02_photographs"), held_out: tuple[int, ...] = (1,), rounds: int = 2, every: int = 20
+    output: Path = Path("output/02_photographs"),
+    held_out: tuple[int, ...] = (1,),
+    rounds: int = 2,
+    every: int = 20,
+    all: bool = False,
 ) -> dict[int, HeldOut]:
     """Fit eleven photographs and predict the twelfth, for each that is held out; print and write the figures.
 
@@ -220,12 +226,14 @@ def main(
         held_out: numbers of the photographs to hold out in turn, 1 to 12.
         rounds: how often lamps and material, then normals and albedo, are solved.
         every: the lamps are fitted to one pixel in so many.
+        all: hold out each of the twelve in turn.
     """
+    held_out = tuple(range(1, 13)) if all else held_out
     pictures = stereo.read_photographs(DATA)
     cat = Cat(stereo.object_mask(pictures))
     each = stereo.chrome_directions(DATA)
     mean = each.mean(axis=0) / np.linalg.norm(each.mean(axis=0), axis=1, keepdims=True)
-    if not all(1 <= number <= len(pictures) for number in held_out):
+    if not set(held_out) <= set(range(1, len(pictures) + 1)):
         raise ValueError(f"held_out: expected numbers from 1 to {len(pictures)}, got {held_out}")
     names = [f"lamp{number + 1:02d}" for number in range(len(pictures))]
     photographs = dict(zip(names, pictures[:, cat.mask], strict=True))
