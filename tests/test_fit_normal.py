@@ -75,6 +75,9 @@ def problem(kind: str, dtype: Any) -> Problem:
         free += [Free("PointLight[fill].intensity", mean=0.5, deviation=0.01)]
     if kind == "ties":
         free = [Free("Material[*].diffuse_color", tied=True), Free("PointLight[*].color", tied="all")]
+    if kind == "a tie of a colour and an exponent":
+        free = [Free(["Material[body].specular_color.g", "Material[body].shininess"], tied="all"), *FREE[1:]]
+        free += ["PointLight[fill].color", "Material[body].diffuse_color"]
     return make_problem(scene(dtype), views, free, **more)[0]
 
 
@@ -82,6 +85,7 @@ KINDS = [
     "plain", "weights and mask", "grey target", "background", "several samples a pixel",
     "several samples a pixel over a background", "sensor limits", "two views, one light each",
     "two views of different size", "huber", "cauchy", "prior", "ties",
+    "a tie of a colour and an exponent",
 ]  # fmt: skip
 
 
@@ -148,3 +152,20 @@ def test_the_gradient_is_the_derivative_of_the_loss() -> None:
             by_reverse = jax.jit(jax.grad(lambda v, p: normal.loss(p, v)))(values, made)
             found = jax.jit(normal.normal_equations)(made, values).gradient
             np.testing.assert_allclose(found, by_reverse, rtol=0, atol=1e-10 * np.abs(by_reverse).max())
+
+
+@pytest.mark.parametrize(
+    ("free", "weighing", "shaping"),
+    [
+        (FREE, 5, 7),  # three colours and two strengths; an exponent, a place, an attenuation
+        (["Material[*].diffuse_color"], 2, 0),
+        ([Free("Material[*].diffuse_color", tied=True), "PointLight[key].color.b"], 2, 0),
+        ([Free("Material[body].diffuse_color", tied="all"), "View[0].exposure"], 2, 0),
+        ([Free(["Material[body].specular_color.g", "Material[body].shininess"], tied="all")], 0, 1),
+    ],
+)
+def test_a_colour_s_components_share_one_derivative(free: list[Any], weighing: int, shaping: int) -> None:
+    with precision("float32") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE))
+        columns = make_problem(scene(dtype), view, free)[0].columns
+    assert (columns.weighing.shape[0], columns.shaping.shape[0]) == (weighing, shaping)
