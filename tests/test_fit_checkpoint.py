@@ -13,6 +13,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import optimistix as optx
 import pytest
@@ -20,6 +21,9 @@ import pytest
 from fit_scenes import key_light, material, sphere_picture, sphere_samples, sphere_scene
 from jaxlight import Fit, Scene, View, fit
 from jaxlight.fit import CheckpointWarning, fitting
+from jaxlight.fit.checkpoint import Checkpoint
+from jaxlight.fit.problem import make_problem
+from jaxlight.fit.run import make_solver
 
 SIZE = 16
 FREE = ["Material[body].diffuse_color", "Material[body].shininess", "PointLight[key].location"]
@@ -297,6 +301,33 @@ def test_a_damaged_checkpoint_falls_back_to_the_one_before(
     (tmp_path / "fit.previous.npz").write_bytes(before)
     with pytest.warns(CheckpointWarning, match=r"resuming from the one before it, fit\.previous\.npz"):
         assert same(run(tmp_path, resume=True), whole)
+
+
+def test_no_damage_goes_unseen(half: Path, tmp_path: Path) -> None:
+    problem, description = make_problem(start(), view(), FREE)
+    saved = Checkpoint(
+        tmp_path / "fit.npz", problem, make_solver(problem), (1, 0, description.labels, description.view_names)
+    )
+    content = (half / "fit.npz").read_bytes()
+    saved.path.write_bytes(content)
+    whole = saved.load()
+    assert whole is not None
+    draw = random.Random(0)
+    refused = 0
+    for _ in range(200):
+        place, length = draw.randrange(len(content)), draw.randrange(1, 50)
+        other = draw.randbytes(length)
+        end = draw.choice([place, place + length, len(content)])  # put in, overwritten, cut off
+        saved.path.write_bytes(content[:place] + other + content[end:])
+        try:
+            read = saved.load()
+        except ValueError as error:
+            assert str(error).startswith(str(saved.path))
+            refused += 1
+        else:  # bytes that mean nothing: dates, names repeated
+            assert read is not None and repr(read.history) == repr(whole.history)
+            assert all(map(np.array_equal, jax.tree.leaves(read.state), jax.tree.leaves(whole.state)))
+    assert refused > 150
 
 
 def test_a_checkpoint_of_another_format_or_jax_says_so(half: Path, tmp_path: Path) -> None:

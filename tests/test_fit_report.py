@@ -14,6 +14,7 @@ from PIL import Image
 import jaxlight as jl
 from jaxlight import nodes
 from jaxlight.fit import view_pictures
+from jaxlight.fit.report import ViewPictures, report_page
 
 SIZE = 16
 
@@ -93,6 +94,27 @@ def test_linear_light_is_shown_as_srgb(fitted, tmp_path: Path) -> None:
     shown = np.asarray(Image.open(io.BytesIO(base64.b64decode(data[1]))), float) / 255
     expected = np.clip(np.asarray(jl.encode(views[0].target, "srgb")), 0, 1)
     np.testing.assert_allclose(shown, expected, atol=0.5001 / 255)
+
+
+def test_what_is_uncertain_and_what_was_warned_of_is_said(fitted, tmp_path: Path) -> None:
+    result, views, _ = fitted
+    jl.write_report(tmp_path / "a.html", result, views, warnings=["scene.x3d:3: <Script> is left out"])
+    page = (tmp_path / "a.html").read_text()
+    assert "<p>The pictures determine every free number.</p>" in page
+    assert "<li>scene.x3d:3: &lt;Script&gt; is left out</li>" in page and "from 0" in page
+    jl.write_report(tmp_path / "a.html", result, views)
+    assert "<h2>Warnings" not in (tmp_path / "a.html").read_text()
+
+
+def test_one_bad_pixel_does_not_hide_the_other_differences(fitted) -> None:
+    target = np.full((64, 64, 3), 0.5)
+    model = target + 0.01
+    model[5, 7] += 5
+    page = report_page(fitted[0], [ViewPictures("a", target, model, np.ones((64, 64), bool))], title="a")
+    assert "largest 5.01" in page and "red +0.01," in page
+    data = re.findall(r"base64,([^\"]+)", page)[2]
+    shown = np.asarray(Image.open(io.BytesIO(base64.b64decode(data))), float)
+    assert np.all(shown[..., 0] > shown[..., 2] + 100)  # red, where the model is brighter
 
 
 def test_names_from_files_are_escaped(tmp_path: Path) -> None:

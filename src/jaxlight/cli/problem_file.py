@@ -36,6 +36,7 @@ class ProblemFile:
         try:
             text = read_bounded(path).decode().replace("\r\n", "\n")
             content = tomllib.loads(text)
+            self._lines = key_lines(text)
         except UnicodeDecodeError as error:
             raise SceneFileError(path, None, f"expected UTF-8: {error.reason} at byte {error.start}") from None
         except tomllib.TOMLDecodeError as error:
@@ -44,7 +45,6 @@ class ProblemFile:
             raise SceneFileError(path, int(line[1]) if line else text.count("\n") + 1, what) from None
         except RecursionError:
             raise SceneFileError(path, None, "tables or lists are nested too deep") from None
-        self._lines = key_lines(text)
         self.problem: FitProblem = self._table(FitProblem, content, ())
 
     def error(self, key: Key, message: str) -> SceneFileError:
