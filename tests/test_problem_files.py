@@ -16,7 +16,7 @@ from PIL import Image
 from jaxlight.cli import main
 from jaxlight.cli.fit import Fit
 from jaxlight.cli.fit_views import make_views
-from jaxlight.cli.problem import CameraProblem, FitProblem, FreeProblem, MapsProblem, ViewProblem
+from jaxlight.cli.problem import CameraProblem, FitProblem, FitSettings, FreeProblem, MapsProblem, ViewProblem
 from jaxlight.cli.problem_file import ProblemFile
 from jaxlight.cli.toml_lines import key_lines
 from jaxlight.formats.errors import SceneFileError
@@ -203,6 +203,7 @@ def test_a_link_out_of_the_folder_is_refused(folder: Path, tmp_path_factory: pyt
 
 WORDS = {
     "an option that belongs into the file": (["--max-steps", "3"], "--max-steps: belongs into"),
+    "a reading beside the file": (["--specular-gate"], "--specular-gate: belongs into"),
     "a picture beside the file": (["x.png"], "PICTURE: belongs into"),
     "no output": ([], "output: expected a folder for the results"),
     "the problem as an output": (["--output", "."], "is an input of this command"),
@@ -238,7 +239,7 @@ def test_options_and_a_file_of_the_same_words_are_the_same_problem(
         decode="srgb",
         saturated=0.9,
         samples=4,
-        max_steps=7,
+        settings=FitSettings(max_steps=7, rtol=1e-3),
         output=Path("out"),
     )
     view = 'decode = "srgb"\nsaturated = 0.9\nsamples = 4\nmask = "mask.png"'
@@ -248,6 +249,7 @@ def test_options_and_a_file_of_the_same_words_are_the_same_problem(
         output = "out"
         free = ["Material[body].shininess"]
         max_steps = 7
+        rtol = 1e-3
         start = {{ "Material[body].shininess" = [0.5], "PointLight[key].location" = [1, 2, 3] }}
         [[views]]
         picture = "front.png"

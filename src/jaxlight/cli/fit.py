@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -16,7 +16,7 @@ from .start_values import parse_assignment
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Fit(FitSettings):
+class Fit:
     """Fit fields of a scene (materials, lights, fog, textures) to one or many pictures of it.
 
     $ jaxlight fit scene.x3d photo.png --output fitted --free 'Material[body].diffuse_color' 'PointLight[key].location'
@@ -33,8 +33,7 @@ class Fit(FitSettings):
     converge."""
 
     scene: ScenePath
-    """An X3D file, or a mesh (glb, obj, ply, stl): shape, camera, and what is known of materials and lights. Or a
-    problem file (.toml)."""
+    """An X3D file or a mesh (glb, obj, ply, stl); or a problem file (.toml), which says everything."""
     targets: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="PICTURE ...")] = ()
     """The pictures to fit (png, jpg, exr, ...), each as the scene is seen from a viewpoint."""
     output: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
@@ -57,6 +56,7 @@ class Fit(FitSettings):
     """Carry on from the checkpoint in --output, to the same numbers as if the fit had never stopped."""
     quiet: bool = False
     """No line for each step on stderr."""
+    settings: Annotated[FitSettings, tyro.conf.arg(name="")] = dataclasses.field(default_factory=FitSettings)
 
     def run(self) -> int:
         """Fit, write the results, and say how it went."""
@@ -68,10 +68,11 @@ class Fit(FitSettings):
             return self._from_options(), CommandLine()
         from .problem_file import ProblemFile
 
-        for field in dataclasses.fields(self):
-            default = field.default_factory() if callable(field.default_factory) else field.default
-            if field.name not in ("scene", "output", "resume", "quiet") and getattr(self, field.name) != default:
-                raise ValueError(f"{_option(field.name)}: belongs into {self.scene}, which says all about the fit")
+        own = Fit(scene=self.scene, output=self.output, resume=self.resume, quiet=self.quiet)._words()
+        for name, value in self._words().items():
+            if value != own[name]:
+                option = "PICTURE" if name == "targets" else f"--{name.replace('_', '-')}"
+                raise ValueError(f"{option}: belongs into {self.scene}, which says all about the fit")
         file = ProblemFile(self.scene)
         problem = file.problem if self.output is None else dataclasses.replace(file.problem, output=self.output)
         spare([self.scene], [] if problem.output is None else outputs(problem, problem.output))
@@ -97,9 +98,10 @@ class Fit(FitSettings):
         )
         with blamed_on(CommandLine(), "start"):
             start = dict(parse_assignment(text) for text in self.start)
-        settings = {field.name: getattr(self, field.name) for field in dataclasses.fields(FitSettings)}
+        settings = vars(self.settings)
         return FitProblem(**settings, scene=self.scene, views=views, free=self.free, start=start, output=self.output)
 
-
-def _option(name: str) -> str:
-    return "PICTURE" if name == "targets" else f"--{name.replace('_', '-')}"
+    def _words(self) -> dict[str, Any]:
+        """Every option by its name."""
+        words = {**vars(self), **vars(self.settings), **vars(self.settings.reading)}
+        return {name: value for name, value in words.items() if name not in ("settings", "reading")}
