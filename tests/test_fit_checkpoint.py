@@ -205,9 +205,10 @@ def test_an_interrupt_before_the_first_evaluation_claims_nothing(monkeypatch: py
     def interrupt(*args: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(fitting, "advance", interrupt)
-    result = fit(start(), view(), FREE)
-    assert result.outcome == "interrupted" and np.isnan(result.loss) and "unchanged" in result.message
+    for name, starts in (("explore", 2), ("advance", 1)):
+        monkeypatch.setattr(fitting, name, interrupt)
+        result = fit(start(), view(), FREE, starts=starts)
+        assert result.outcome == "interrupted" and np.isnan(result.loss) and "unchanged" in result.message
 
 
 def test_random_starts_are_explored_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -180,7 +180,10 @@ def fit(
             warnings.warn(f"{checkpoint}: no checkpoint yet; the fit begins", CheckpointWarning, stacklevel=2)
     if state is None and starts > 1:
         drawn = random_starts(problem, description.fields, starts, seed)
-        state = begin(problem, solver, explore(problem, solver, drawn).best)
+        try:
+            state = begin(problem, solver, explore(problem, solver, drawn).best)
+        except KeyboardInterrupt:
+            return make_fit(problem, description, begin(problem, solver), [], interrupted=True)
     record = Record(log, kept, seconds=checkpoint_seconds, resumed=history)
     return run_fit(
         problem,
