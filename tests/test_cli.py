@@ -56,7 +56,7 @@ def run(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.
 # --- words ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("command", ["info", "render", "fit", "gradcheck"])
+@pytest.mark.parametrize("command", ["info", "render", "fit", "gradcheck", "stress"])
 def test_help_of_every_command_shows_how_to_use_it(run, command: str) -> None:
     result = run(command, "--help")
     assert result.status == 0 and result.err == ""
@@ -66,7 +66,7 @@ def test_help_of_every_command_shows_how_to_use_it(run, command: str) -> None:
 def test_help_and_version(run) -> None:
     result = run("--help")
     assert result.status == 0
-    for command in ("info", "render", "fit", "gradcheck"):
+    for command in ("info", "render", "fit", "gradcheck", "stress"):
         assert f"\n  {command} " in result.out
     assert run("--version").out.startswith("jaxlight ")
 

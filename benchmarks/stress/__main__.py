@@ -1,10 +1,10 @@
-"""`python -m benchmarks.stress`."""
+"""`python -m benchmarks.stress`, the same as `jaxlight stress`."""
 
 import sys
 
 import tyro
 
-from .command import Options, run
+from jaxlight.cli.stress import Stress
 
 if __name__ == "__main__":
-    sys.exit(run(tyro.cli(Options, description=__doc__)))
+    sys.exit(tyro.cli(Stress).run())

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
+import concurrent.futures
+import multiprocessing
 import secrets
 import sys
 import time
-from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import tyro
+
+from jaxlight.cli.stress import Stress
 
 from ..report import table
 from .draw import Kind, blocks, family, features, find
@@ -19,59 +19,29 @@ from .figures import HEADER, Table
 from .judge import Block, Judged, Precision
 
 MODES = ("reverse", "forward")
+Task = tuple[Precision, Kind]
 
 
-@dataclasses.dataclass(frozen=True)
-class Options:
-    """Judge values and derivatives of random and adversarial cases by exact answers, in ulp and in ulp / condition.
-
-    Asked are: values of well-conditioned cases within 4 ulp x condition (99.9 % within 2), their derivatives within 16,
-    and every number of every case finite. Exit status 1 if one is not."""
-
-    cases: int = 100_000
-    """Random cases."""
-    adversarial: int = 20_000
-    """Cases at and next to singular points."""
-    seed: int | None = None
-    """What the cases are drawn from; default: a new one, which is printed."""
-    precisions: tuple[Precision, ...] = ("float32", "float64")
-    """Float types of scenes and samples."""
-    forward: bool = True
-    """Also judge the derivatives of forward mode."""
-    second: int = 2_000
-    """Of so many random and adversarial cases also judge second derivatives, forward over reverse."""
-    case: Annotated[str, tyro.conf.arg(metavar="LABEL")] = ""
-    """Explain one case of the run of this seed, by the label that a table gives it, instead of running."""
-    output: Path = Path("out/stress")
-    """Folder for the tables (stress.md) and the plot (stress.png)."""
-    plot: bool = True
-    """Draw the plot, if matplotlib is there."""
-
-
-def run(options: Options) -> int:
+def run(options: Stress) -> int:
     """Run, print and save; the exit status."""
     seed = secrets.randbelow(10**9) if options.seed is None else options.seed
     if options.case:
-        print("\n".join(explain(find(seed, options.case), options.precisions)))
+        print("\n".join(explain(find(seed, options.case, options.shapes), options.precisions)))
         return 0
     start = time.monotonic()
     print(f"seed {seed}: {options.cases} random and {options.adversarial} adversarial cases", flush=True)
-    modes = MODES if options.forward else MODES[:1]
-    quantities = ("values", *modes, *(("second",) if options.second else ()))
-    tables = {(p, q): Table(p, q) for p in options.precisions for q in quantities}
-    for kind, count in (("random", options.cases), ("adversarial", options.adversarial)):
-        for i, cases in enumerate(blocks(seed, kind, count)):  # type: ignore[arg-type]  # one of the two
-            for precision in options.precisions:
-                block = Block(cases, precision)
-                _add(tables[precision, "values"], kind, block, block.judge_values())  # type: ignore[arg-type]
-                for mode in modes:
-                    judged = block.judge_derivatives(mode)  # type: ignore[arg-type]  # one of the two
-                    _add(tables[precision, mode], kind, block, judged)  # type: ignore[arg-type]
-                if i == 0 and options.second:
-                    judged = block.judge_second(options.second)
-                    _add(tables[precision, "second"], kind, block, judged)  # type: ignore[arg-type]
-            elapsed = time.monotonic() - start
-            print(f"  {kind} block {i + 1} of {-(-count // len(cases))}, {elapsed:.0f} s", file=sys.stderr, flush=True)
+    kinds: tuple[Kind, ...] = ("random", "adversarial")
+    tasks = [(precision, kind) for precision in options.precisions for kind in kinds]
+    tables = {(p, q): Table(p, q) for p in options.precisions for q in _quantities(options)}
+    if options.jobs == 1:
+        found = (judge(seed, options, task) for task in tasks)
+    else:
+        spawn = multiprocessing.get_context("spawn")
+        with concurrent.futures.ProcessPoolExecutor(min(options.jobs, len(tasks)), spawn) as pool:
+            found = list(pool.map(judge, [seed] * len(tasks), [options] * len(tasks), tasks))
+    for part in found:
+        for one in part:
+            tables[one.precision, one.quantity].merge(one)  # type: ignore[index]  # the precision of a task
     text = report(seed, options, list(tables.values()), time.monotonic() - start)
     print(text)
     options.output.mkdir(parents=True, exist_ok=True)
@@ -83,12 +53,34 @@ def run(options: Options) -> int:
     return 1 if any(t.violations() for t in tables.values()) else 0
 
 
-def report(seed: int, options: Options, tables: list[Table], seconds: float) -> str:
+def judge(seed: int, options: Stress, task: Task) -> list[Table]:
+    """All cases of one sort in one precision; progress goes to standard error."""
+    precision, kind = task
+    start, count = time.monotonic(), {"random": options.cases, "adversarial": options.adversarial}[kind]
+    tables = {quantity: Table(precision, quantity) for quantity in _quantities(options)}
+    done = 0
+    for i, cases in enumerate(blocks(seed, kind, count, options.shapes)):
+        block = Block(cases, precision)
+        for quantity, one in tables.items():
+            if quantity == "values":
+                _add(one, kind, block, block.judge_values())
+            elif quantity != "second":
+                _add(one, kind, block, block.judge_derivatives(quantity))  # type: ignore[arg-type]  # the two modes
+            elif i == 0:
+                _add(one, kind, block, block.judge_second(options.second))
+        done += len(cases)
+        took = time.monotonic() - start
+        print(f"  {precision}, {kind}: {done} of {count} cases, {took:.0f} s", file=sys.stderr, flush=True)
+        if options.minutes and took > 60 * options.minutes:
+            break
+    return list(tables.values())
+
+
+def report(seed: int, options: Stress, tables: list[Table], seconds: float) -> str:
     """Everything that was found, as Markdown."""
-    parts = [
-        f"`python -m benchmarks.stress --seed {seed} --cases {options.cases} --adversarial {options.adversarial}`, "
-        f"{seconds:.0f} s. A case again: `--seed {seed} --case LABEL`."
-    ]
+    counts = f"--cases {options.cases} --adversarial {options.adversarial} --shapes {options.shapes}"
+    given = f"--seed {seed} {counts}" + (f" --minutes {options.minutes:g}" if options.minutes else "")
+    parts = [f"`jaxlight stress {given}`, {seconds:.0f} s. A case again: add `--case LABEL`."]
     for one in tables:
         parts.append(f"**{one.precision}, {_title(one.quantity)}**")
         parts.append(table(HEADER, [row.cells() for row in one.rows.values()]))
@@ -98,6 +90,11 @@ def report(seed: int, options: Options, tables: list[Table], seconds: float) -> 
     violations = [line for one in tables for line in one.violations()]
     parts.append("\n".join(f"- VIOLATED: {line}" for line in violations) or "All figures hold.")
     return "\n\n".join(parts)
+
+
+def _quantities(options: Stress) -> tuple[str, ...]:
+    modes = MODES if options.forward else MODES[:1]
+    return ("values", *modes, *(("second",) if options.second else ()))
 
 
 def _title(quantity: str) -> str:
@@ -117,5 +114,4 @@ def _add(target: Table, kind: Kind, block: Block, judged: Judged) -> None:
         labels = [block.cases[i].label for i in own]
         target.row(name).add(labels, judged.ulp[own], judged.relative[own], judged.finite[own])
     for name, errors in judged.by_field.items():
-        worst, count = target.by_field.get(name, [0.0, 0])
-        target.by_field[name] = [max(worst, float(np.max(errors, initial=0.0))), count + len(errors)]
+        target.add_field(name, float(np.max(errors, initial=0.0)), len(errors))

@@ -11,16 +11,16 @@ from oracle.case import Case
 from oracle.cases import random_block
 
 Kind = Literal["random", "adversarial"]
-BLOCK = 10_000
+BLOCK = 4096
 
 
-def blocks(seed: int, kind: Kind, count: int) -> Iterator[list[Case]]:
+def blocks(seed: int, kind: Kind, count: int, shapes: int) -> Iterator[list[Case]]:
     """`count` cases of a kind, some thousand at a time, each labelled kind:block:name."""
     for block, start in enumerate(range(0, count, BLOCK)):
-        yield _block(seed, kind, block, min(BLOCK, count - start))
+        yield _block(seed, kind, block, min(BLOCK, count - start), shapes)
 
 
-def find(seed: int, label: str) -> Case:
+def find(seed: int, label: str, shapes: int) -> Case:
     """The case that a run of this seed calls `label`.
 
     Raises:
@@ -29,7 +29,7 @@ def find(seed: int, label: str) -> Case:
     kind, _, rest = label.partition(":")
     block = rest.partition(":")[0]
     if kind in ("random", "adversarial") and block.isdigit():
-        for case in _block(seed, kind, int(block), BLOCK):  # type: ignore[arg-type]  # one of the two
+        for case in _block(seed, kind, int(block), BLOCK, shapes):  # type: ignore[arg-type]  # one of the two
             if case.label == label:
                 return case
     raise ValueError(f"case: expected a label like random:0:17 or adversarial:0:fog_edge[3]-1, got {label!r}")
@@ -57,8 +57,8 @@ def features(case: Case) -> list[str]:
     return [*kinds, *fog, *(name for name, there in others.items() if there)]
 
 
-def _block(seed: int, kind: Kind, block: int, count: int) -> list[Case]:
+def _block(seed: int, kind: Kind, block: int, count: int, shapes: int) -> list[Case]:
     if kind == "random":
-        return random_block(seed, block, count)
+        return random_block(seed, block, count, shapes)
     drawn = adversarial_cases(seed * 1_000_003 + block, count)
     return [dataclasses.replace(case, label=f"adversarial:{block}:{case.label}") for case in drawn]

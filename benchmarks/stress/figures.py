@@ -78,6 +78,17 @@ class Table:
         """The row of this name, new if need be."""
         return self.rows.setdefault(name, Row(name))
 
+    def add_field(self, name: str, worst: float, count: float) -> None:
+        """More cases that have this input."""
+        known, before = self.by_field.get(name, [0.0, 0])
+        self.by_field[name] = [max(known, worst), before + count]
+
+    def merge(self, other: Table) -> None:
+        """Another table of the same quantity, of cases of another sort."""
+        self.rows |= other.rows
+        for name, (worst, count) in other.by_field.items():
+            self.add_field(name, worst, count)
+
     def violations(self) -> list[str]:
         """The figures that do not hold, a sentence each."""
         found = []

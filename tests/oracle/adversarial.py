@@ -1,7 +1,7 @@
 """Cases at and next to every singular point of the equation, from a seed.
 
-A family (see `families`) sets up the point itself; its cases then come at the point and with one number moved by 1, 2
-and 16 float32 ulp to both sides. Orientation, place, material and what else does not matter are random.
+A family (see `families`, `combinations`) sets up the point itself; its cases then come at the point and with one number
+moved by 1, 2 and 16 float32 ulp to both sides. Orientation, place, material and what else does not matter are random.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from .case import Case
-from .families import FAMILIES
+from .combinations import FAMILIES
 from .paths import get, put
 
 STEPS = (0, 1, -1, 2, -2, 16, -16)

@@ -25,7 +25,7 @@ def random_cases(seed: int, count: int) -> list[Case]:
     for i in range(shapes):
         shape = _random_shape(rng, i)
         own = count // shapes + (i < count % shapes)
-        cases += [_fill(rng, shape, f"random(seed={seed})[{len(cases) + k}]") for k in range(own)]
+        cases += [fill(rng, shape, f"random(seed={seed})[{len(cases) + k}]") for k in range(own)]
     return cases
 
 
@@ -34,7 +34,7 @@ def random_block(seed: int, block: int, count: int, shapes: int = 12) -> list[Ca
     rng = np.random.default_rng([seed, 1])
     drawn = [_random_shape(rng, i) for i in range(shapes)]
     rng = np.random.default_rng([seed, 3, block])
-    return [_fill(rng, drawn[i % shapes], f"random:{block}:{i}") for i in range(count)]
+    return [fill(rng, drawn[i % shapes], f"random:{block}:{i}") for i in range(count)]
 
 
 def well_conditioned_cases(seed: int, count: int, precision: int = 32) -> list[Case]:
@@ -90,7 +90,7 @@ def _numbers(rng: np.random.Generator, counts: tuple[int, ...], share: float) ->
     return (0.0,) * count or None
 
 
-def _fill(rng: np.random.Generator, shape: Case, label: str) -> Case:
+def fill(rng: np.random.Generator, shape: Case, label: str) -> Case:
     """The template with random numbers."""
     position = rng.uniform(-3, 3, 3)
     lights = tuple(_fill_light(rng, light, position) for light in shape.lights)

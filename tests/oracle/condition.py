@@ -11,6 +11,8 @@ full precision. An algorithm that is right for slightly wrong inputs has an erro
 
     condition = max(1, sum_i |d2f/dx_k dx_i| ulp(x_i) / ulp(g))
 
+(in `fast_exact` with one more x_i a light: the length of its rounded unit vector L, which is 1 give or take an ulp).
+
 **Well-conditioned**: condition at most 1000, and every jump at least 16 ulp away. The distance of a decision is
 |margin| / sum_i |d margin / dx_i| ulp(x_i): the number of ulps by which all inputs would have to conspire to turn it.
 (L + V is a sum of rounded unit vectors, so its length moves by one ulp of 1 besides. A vector written as zeros cannot

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from .case import Case, Fog, Light, Material, Options, Sample
+from .paths import is_live
 
 __all__ = [
     "attenuation",
@@ -139,13 +140,13 @@ def light_contribution(
 
 
 def brightest(case: Case) -> np.ndarray:
-    """What the colour [3] cannot exceed: every light that is on, unattenuated and head-on; or the fog's colour."""
+    """What the colour [3] cannot exceed: every live light, unattenuated and head-on; or the fog's colour."""
     if case.material is None or case.line_or_point:
         return np.ones(3)
     o_d, _ = diffuse_factor(case.sample, case.material, case.options)
     rgb = np.array(case.material.emissive_color)
     for light in case.lights:
-        if light.on:
+        if is_live(light, case.options):
             ambient = light.ambient_intensity * case.material.ambient_intensity * o_d
             direct = light.intensity * (o_d + np.array(case.material.specular_color))
             rgb = rgb + np.array(light.color) * (ambient + direct)

@@ -34,7 +34,6 @@ from .setting import (
 
 __all__ = ["FAMILIES"]
 
-
 # --- vectors ----------------------------------------------------------------------------------------------------------
 
 
@@ -122,8 +121,10 @@ def any_length(rng: Rng) -> Point:
 @family
 def grazing_light(rng: Rng) -> Point:
     """N.L = 0, with and without the gate of the specular term."""
-    case = Setting(rng).case(kind=str(rng.choice(KINDS)), normal=(0.0, 1.0, 1.0), to_light=(1.0, 1.0, -1.0))
-    case = replace(case, options=Options(specular_gate=bool(rng.random() < 0.3)))
+    gate = bool(rng.random() < 0.3)
+    kind = "point" if gate else str(rng.choice(KINDS))
+    case = Setting(rng).case(kind=kind, normal=(0.0, 1.0, 1.0), to_light=(1.0, 1.0, -1.0))
+    case = replace(case, options=Options(specular_gate=gate))
     return moving(rng, case, NORMAL)
 
 
@@ -297,7 +298,7 @@ def dead_light(rng: Rng) -> Point:
         on=False,
     )
     case = Setting(rng).case(kind=kind)
-    return replace(case, lights=(dead, *case.lights) if rng.random() < 0.5 else (*case.lights, dead)), None
+    return replace(case, lights=(dead, *case.lights)), None
 
 
 @family

@@ -22,7 +22,7 @@ from .fast_tape import WIDE, Columns, FastTape
 from .paths import Path, is_live
 from .ulp import input_ulp, neighbours, output_ulp
 
-CHUNK = {0: 4096, 1: 1024, 2: 128}
+CHUNK = {0: 4096, 1: 4096, 2: 512}
 """Cases computed at once, by order of the derivatives."""
 
 
@@ -55,6 +55,8 @@ class Gradients:
     high: np.ndarray
     condition: np.ndarray | None
     distances: dict[str, np.ndarray]
+    rounding: np.ndarray
+    """[n, P, 4]: how far 80-bit arithmetic itself may be off, where terms cancel that add up to the derivative."""
 
     @property
     def differentiable(self) -> np.ndarray:
@@ -66,7 +68,7 @@ class Gradients:
         computed = np.asarray(computed, dtype=WIDE)
         ulp = np.maximum(output_ulp(self.low, precision), output_ulp(self.high, precision))
         with np.errstate(invalid="ignore"):
-            below, above = (self.low - computed) / ulp, (computed - self.high) / ulp
+            below, above = (self.low - self.rounding - computed) / ulp, (computed - self.rounding - self.high) / ulp
         return np.where(np.isfinite(computed), np.maximum(np.maximum(below, above), 0), np.inf)
 
 
@@ -97,7 +99,11 @@ def values(cases: Sequence[Case], precision: int = 32, *, conditioning: bool = T
         channels = _run(tape)
         rgba[index] = value = _stack([c.value for c in channels], columns.count)
         if conditioning:
-            condition[index] = _condition(_moved(columns, value, precision), value, precision)
+            moved = _moved(columns, value, precision)
+            for name in tape.powers_lost:  # an intermediate result that may underflow moves by all it is
+                without = _run(FastTape(columns, 0, precision, frozenset([name])))
+                moved = moved + np.abs(_stack([c.value for c in without], columns.count) - value)
+            condition[index] = _condition(moved, value, precision)
             for kind, distance in tape.distances.items():
                 distances[kind][index] = distance
     return Values(rgba, condition, distances)
@@ -135,7 +141,18 @@ def _gradients_of_chunk(index: np.ndarray, columns: Columns, order: int, precisi
     for name in tape.powers_lost:
         change = np.abs(turned_over(frozenset([name])))
         low, high = low - change, high + change
-    return Gradients(index, columns.paths, low, high, condition, tape.distances)
+    return Gradients(index, columns.paths, low, high, condition, tape.distances, _rounding(base, columns))
+
+
+def _rounding(gradient: np.ndarray, columns: Columns) -> np.ndarray:
+    """4 roundings of the largest change that any input's relative change makes, over the size of the own vector."""
+    sizes = np.zeros_like(columns.values)
+    for i, path in enumerate(columns.paths):
+        vector = [k for k, other in enumerate(columns.paths) if other[:-1] == path[:-1]] if len(path) > 2 else [i]
+        sizes[i] = np.abs(columns.values[vector]).max(axis=0)
+    with np.errstate(all="ignore"):
+        reach = np.nan_to_num(np.abs(gradient) * np.abs(columns.values.T)[:, :, None]).max(axis=1, keepdims=True)
+        return np.nan_to_num(4 * np.finfo(WIDE).eps * reach / sizes.T[:, :, None], posinf=0.0)
 
 
 def second_derivatives(
@@ -150,7 +167,7 @@ def second_derivatives(
         size = np.zeros_like(change)
         for c, channel in enumerate(channels):
             for (i, j), second in (channel.hessian or {}).items():
-                for row, other in {(i, j), (j, i)}:
+                for row, other in {(i, j), (j, i)} if max(i, j) < len(steps) else ():
                     term = second * steps[other]
                     change[row, c] += term
                     size[row, c] += np.abs(term)
@@ -229,7 +246,8 @@ def _gradient(channels: tuple[Dual, ...], columns: Columns) -> np.ndarray:
     out = np.zeros((len(columns.paths), 4, columns.count), dtype=WIDE)
     for c, channel in enumerate(channels):
         for i, slope in channel.gradient.items():
-            out[i, c] = slope
+            if i < len(out):
+                out[i, c] = slope
     return out.transpose(2, 0, 1)
 
 
@@ -252,12 +270,15 @@ def _gradient_condition(
 ) -> np.ndarray:
     """[n, P, 4]: how far each derivative moves, to first order, in its ulp."""
     ulps = input_ulp(columns.values, precision)
+    lengths = np.full((len(columns.template.lights), columns.count), input_ulp(1.0, precision))  # FastTape.unit_length
+    ulps = np.concatenate([ulps, lengths])
     moved = np.zeros((len(columns.paths), 4, columns.count), dtype=WIDE)
     for c, channel in enumerate(channels):
         for (i, j), second in (channel.hessian or {}).items():
             size = np.abs(second)
-            moved[i, c] += size * ulps[j]
-            if i != j:
+            if i < len(moved):
+                moved[i, c] += size * ulps[j]
+            if i != j and j < len(moved):
                 moved[j, c] += size * ulps[i]
     return _condition(moved.transpose(2, 0, 1), gradient, precision)
 

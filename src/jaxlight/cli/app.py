@@ -19,8 +19,9 @@ from .gradcheck import Gradcheck
 from .info import Info
 from .render import Render
 from .status import BAD_INPUT, FAILURE, INTERRUPTED, SUCCESS
+from .stress import Stress
 
-COMMANDS = {"info": Info, "render": Render, "fit": Fit, "gradcheck": Gradcheck}
+COMMANDS = {"info": Info, "render": Render, "fit": Fit, "gradcheck": Gradcheck, "stress": Stress}
 
 HELP = """\
 usage: jaxlight COMMAND [OPTIONS]
@@ -36,8 +37,9 @@ commands:
   jaxlight render scene.x3d --output scene.png
   jaxlight fit scene.x3d photo.png --free 'Material[*].diffuse_color' --output fitted
 
-exit status: 0 success; 1 ran, but without success (a fit that did not converge, a derivative that disagrees);
-2 bad input, said in one line on stderr (JAXLIGHT_TRACEBACK=1 shows where it was found); 130 interrupted."""
+exit status: 0 success; 1 ran, but without success (a fit that did not converge, a derivative that disagrees,
+a figure that does not hold); 2 bad input, said in one line on stderr (JAXLIGHT_TRACEBACK=1 shows where it was found);
+130 interrupted."""
 
 
 def main(args: Sequence[str] | None = None) -> int:

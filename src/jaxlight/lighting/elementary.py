@@ -84,6 +84,42 @@ def reciprocal_of_power_of_two(x: Float[Array, ...]) -> Float[Array, ...]:
     return _from_bits(jnp.maximum((2 * bias << mantissa) - _bits(x), 1 << mantissa), x.dtype)
 
 
+STEEPEST = {jnp.dtype("float32"): 2.0**123, jnp.dtype("float64"): 2.0**1019}
+"""The largest 1 / x in a derivative: that of x = 1e-37 is right, those of smaller x are finite."""
+
+_STEEPEST_SQUARED = {jnp.dtype("float32"): 2.0**107, jnp.dtype("float64"): 2.0**1007}
+
+
+def second_factor(inverse: Float[Array, "..."]) -> Float[Array, "..."]:
+    """1 / x from 1 / x, or less, so that their product, in second derivatives, stays in range."""
+    return jnp.minimum(inverse, _STEEPEST_SQUARED[inverse.dtype] / jnp.where(inverse > 0, inverse, 1.0))
+
+
+@jax.custom_jvp
+def steep_reciprocal(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """1 / x for the derivatives by x > 0, at most STEEPEST; its own derivative is held in range."""
+    return 1.0 / jnp.maximum(x, 1.0 / STEEPEST[x.dtype])
+
+
+@steep_reciprocal.defjvp
+def _steep_reciprocal_jvp(primals, tangents):
+    inverse = steep_reciprocal(*primals)
+    return inverse, -(inverse * second_factor(inverse)) * tangents[0]
+
+
+@jax.custom_jvp
+def ratio(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
+    """x / y for y > 0, with derivatives that form no square of y: it may be 1e-37 or 1e37."""
+    return x / y
+
+
+@ratio.defjvp
+def _ratio_jvp(primals, tangents):
+    (x, y), (dx, dy) = primals, tangents
+    quotient = ratio(x, y)
+    return quotient, (dx - quotient * dy) * steep_reciprocal(y)
+
+
 @jax.custom_jvp
 def exp(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """e^x for x <= 0; results below the smallest normal number are 0."""
@@ -146,7 +182,7 @@ def log_of_alignment(alignment: Float[Array, "..."]) -> Float[Array, "..."]:
 @log_of_alignment.defjvp
 def _log_of_alignment_jvp(primals, tangents):
     (alignment,), (change,) = primals, tangents
-    return log_of_alignment(alignment), change / jnp.where(alignment <= 0, 1.0 + alignment, alignment)
+    return log_of_alignment(alignment), change * steep_reciprocal(jnp.where(alignment <= 0, 1.0 + alignment, alignment))
 
 
 def arctangent(y: Float[Array, ...], x: Float[Array, ...]) -> Float[Array, ...]:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .elementary import arctangent, exp, log_of_alignment, one_minus_exp
+from .elementary import arctangent, exp, log_of_alignment, one_minus_exp, ratio, steep_reciprocal
 from .vectors import Vector, cross, dot
 
 _HUGE = {jnp.dtype("float32"): 1e37, jnp.dtype("float64"): 1e300}
@@ -67,13 +67,13 @@ def highlight(alignment: Array, exponent: Array) -> Array:
 def _highlight_jvp(primals, tangents):
     """d x^n = n x^(n-1) dx + x^n ln(x) dn; the products are formed first, for dx may be huge.
 
-    At most 2^24 dx: below exponent 1 the slope at 0 is infinite.
+    At most 2^24 dx: below exponent 1 the slope at 0 is infinite. Nearer than 2^-60 to 0 the slope is that of a kink.
     """
     (x, exponent), (dx, d_exponent) = primals, tangents
     power = highlight(x, exponent)
     faces = x != AWAY
     near = jnp.where(faces, x, 0.0)
-    cosine = jnp.where(near <= 0, 1.0 + near, near)
+    cosine = jnp.maximum(jnp.where(near <= 0, 1.0 + near, near), 2.0**-60)
     slope = jnp.minimum(exponent * (power / cosine), _STEEPEST)
     change = slope * dx + (power * log_of_alignment(near)) * d_exponent
     return power, jnp.where(faces, change, 0.0)
@@ -115,7 +115,7 @@ def spot(angle: Array, beam_width: Array, cut_off_angle: Array) -> Array:
     has_ramp = beam_width < cut_off_angle
     width = jnp.where(has_ramp, cut_off_angle - beam_width, 1.0)
     on_ramp = has_ramp & (angle > beam_width) & (angle < cut_off_angle)
-    ramp = (cut_off_angle - jnp.where(on_ramp, angle, beam_width)) / width
+    ramp = ratio(cut_off_angle - jnp.where(on_ramp, angle, beam_width), width)
     return jnp.where(on_ramp, ramp, jnp.where(angle >= cut_off_angle, 0.0, 1.0))
 
 
@@ -166,16 +166,15 @@ def _linear_fog_jvp(primals, tangents):
     (distance, visibility), (d_distance, d_visibility) = primals, tangents
     clear, fogged = linear_fog(distance, visibility)
     _, within, _ = _fog_range(distance, visibility)
-    change = (jnp.where(within, fogged, 0.0) * d_visibility - d_distance) / jnp.where(within, visibility, 1.0)
-    change = jnp.where(within, change, 0.0)
+    slope = jnp.where(within, steep_reciprocal(jnp.where(within, visibility, 1.0)), 0.0)
+    change = (jnp.where(within, fogged, 0.0) * d_visibility - d_distance) * slope
     return (clear, fogged), (change, -change)
 
 
-@jax.custom_jvp
 def exponential_fog(distance: Array, visibility: Array) -> tuple[Array, Array]:
     """f0 of table 17.5, EXPONENTIAL, and 1 - f0 to full accuracy; visibility <= 0 means no fog."""
     present, within, remaining = _fog_range(distance, visibility)
-    depth = distance / remaining
+    depth = ratio(jnp.where(within, distance, 0.0), remaining)
     clear = jnp.where(within, exp(-depth), 0.0)
     fogged = jnp.where(within, one_minus_exp(-depth), 1.0)
     return jnp.where(present, clear, 1.0), jnp.where(present, fogged, 0.0)
@@ -186,16 +185,3 @@ def _fog_range(distance: Array, visibility: Array) -> tuple[Array, Array, Array]
     present, remaining = visibility > 0, visibility - distance
     within = present & (remaining > 0)  # a difference that is flushed to zero is none
     return present, within, jnp.where(within, remaining, 1.0)
-
-
-@exponential_fog.defjvp
-def _exponential_fog_jvp(primals, tangents):
-    """With x = d / (V - d): df0 = f0 (x dV - (1 + x) dd) / (V - d); the products are formed before the division."""
-    (distance, visibility), (d_distance, d_visibility) = primals, tangents
-    clear, fogged = exponential_fog(distance, visibility)
-    _, within, remaining = _fog_range(distance, visibility)
-    depth = jnp.where(within, distance / remaining, 0.0)
-    per_visibility = (clear * depth) / remaining
-    change = per_visibility * d_visibility - (clear / remaining + per_visibility) * d_distance
-    change = jnp.where(within, change, 0.0)
-    return (clear, fogged), (change, -change)

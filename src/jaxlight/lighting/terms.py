@@ -16,9 +16,10 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from . import factors
+from .elementary import ratio
 from .stages import Stage
 from .surface import MaterialRow
-from .vectors import Vector, dot, inverse_length, inverse_length_in_range, normalised, transform, unit
+from .vectors import Vector, dot, half_vector, inverse_length, inverse_length_in_range, normalised, transform, unit
 from .world import WorldFog, WorldLights
 
 
@@ -82,7 +83,7 @@ def received(
         return Received(from_diffuse, None)
     exponent = 128.0 * material.shininess
     inverse = stage(lambda: inverse_length_in_range(l() + tile.to_viewer))
-    alignment = stage(lambda: factors.alignment(tile.normal, l() + tile.to_viewer, inverse))
+    alignment = stage(lambda: factors.alignment(tile.normal, half_vector(l(), tile.to_viewer), inverse))
 
     def highlight() -> Array:
         power = factors.highlight(alignment, exponent)
@@ -98,7 +99,7 @@ def _light_vector(stage: Stage, lights: WorldLights, tile: Geometry) -> tuple[Ca
         assert towards is not None
         return lambda: towards, None
 
-    place, to_local = lights.place, lights.to_local
+    place, to_local, local_place = lights.place, lights.to_local, lights.local_place
     # Kept, so that the derivatives by the places are summed over samples once, not in every stage.
     offset = Vector(
         stage(lambda: place.x - tile.position.x),
@@ -113,14 +114,16 @@ def _light_vector(stage: Stage, lights: WorldLights, tile: Geometry) -> tuple[Ca
         return normalised(offset, inverse)[0]
 
     spot = _spot(stage, lights, l)
-    distance = None if to_local is None else stage(lambda: unit(transform(to_local, offset))[1])
+    distance = None
+    if to_local is not None and local_place is not None:
+        distance = stage(lambda: unit(local_place - transform(to_local, tile.position))[1])
     if lights.attenuation is None and lights.radius is None:
         return l, spot
 
     def reaching() -> Array:
         d = normalised(offset, inverse)[1] if distance is None else distance
         if lights.unit_length is not None:
-            d = d / lights.unit_length
+            d = ratio(d, lights.unit_length)
         factor = jnp.ones_like(d) if lights.attenuation is None else factors.attenuation(*lights.attenuation, d)
         factor = _times(spot, factor)
         # A sample is lit at d == radius.

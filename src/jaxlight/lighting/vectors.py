@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .elementary import power_of_two_above, reciprocal_of_power_of_two
+from .elementary import STEEPEST, power_of_two_above, reciprocal_of_power_of_two, second_factor
 
 
 class Vector(NamedTuple):
@@ -53,12 +53,6 @@ def unit(v: Vector) -> tuple[Vector, Array]:
     return normalised(v, inverse_length(v))
 
 
-# Derivatives grow with 1 / |v|. They are those of a |v| of at least 2^-100 (float64: 2^-1000), so that they are finite.
-# Second derivatives grow with its square: one factor is held down to what keeps the product in range.
-_STEEPEST = {jnp.dtype("float32"): 2.0**100, jnp.dtype("float64"): 2.0**1000}
-_STEEPEST_SQUARED = {jnp.dtype("float32"): 2.0**107, jnp.dtype("float64"): 2.0**1007}
-
-
 @jax.custom_jvp
 def normalised(v: Vector, inverse: Array) -> tuple[Vector, Array]:
     """v / |v| and |v|, given `inverse` = 1 / |v| (or 0 for the zero vector) of this very v."""
@@ -75,7 +69,7 @@ def _normalised_jvp(primals, tangents):
     """
     (v, inverse), (dv, _) = primals, tangents
     u, length = _normalised_once(v, inverse)
-    return (u, length), _turned(u, dv, jnp.minimum(inverse, _STEEPEST[inverse.dtype]))
+    return (u, length), _turned(u, dv, jnp.minimum(inverse, STEEPEST[inverse.dtype]))
 
 
 @jax.custom_jvp
@@ -88,16 +82,27 @@ def _normalised_once(v: Vector, inverse: Array) -> tuple[Vector, Array]:
 def _normalised_once_jvp(primals, tangents):
     (v, inverse), (dv, _) = primals, tangents
     u, length = _normalised_once(v, inverse)
-    return (u, length), _turned(u, dv, _second_factor(inverse))
+    return (u, length), _turned(u, dv, second_factor(inverse))
 
 
 def _turned(u: Vector, dv: Vector, inverse: Array) -> tuple[Vector, Array]:
     return cross(u, cross(dv.scaled(inverse), u)), dot(u, dv)
 
 
-def _second_factor(inverse: Array) -> Array:
-    """1 / |v|, or less, so that its product with 1 / |v| stays in range."""
-    return jnp.minimum(inverse, _STEEPEST_SQUARED[inverse.dtype] / jnp.where(inverse > 0, inverse, 1.0))
+@jax.custom_jvp
+def half_vector(l: Vector, v: Vector) -> Vector:
+    """l + v of unit (or zero) vectors, at right angles to l - v as it must be if neither is zero.
+
+    Close to l = -v the rounding of their lengths is all that l + v has along l - v, and turns it.
+    """
+    total, difference = l + v, l - v
+    excess = dot(total, difference)  # |l|^2 - |v|^2
+    return total - difference.scaled(jnp.where(jnp.abs(excess) < 0.5, 0.25 * excess, 0.0))
+
+
+@half_vector.defjvp
+def _half_vector_jvp(primals, tangents):
+    return half_vector(*primals), tangents[0] + tangents[1]
 
 
 @jax.custom_jvp
@@ -130,7 +135,7 @@ def _inverse_length_jvp(primals, tangents):
     """d(1/|v|) = -(u . dv) / |v|^2"""
     (v,), (dv,) = primals, tangents
     inverse = inverse_length(v)
-    return inverse, -(inverse * (_second_factor(inverse) * dot(v.scaled(inverse), dv)))
+    return inverse, -(inverse * (second_factor(inverse) * dot(v.scaled(inverse), dv)))
 
 
 inverse_length.defjvp(_inverse_length_jvp)

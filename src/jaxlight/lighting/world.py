@@ -36,6 +36,8 @@ class WorldLights(eqx.Module):
     """Point and spot lights: location."""
     to_local: Float[Array, "lights 1 1 3 3"] | None
     """World vectors to the light's frame, where distances are measured; None: `unit_length` tells it."""
+    local_place: Vector | None
+    """With `to_local`: the location in the light's frame, seen from the world's origin."""
     unit_length: Float[Array, "lights 1 lanes"] | None
     """World length of one unit of the light's frame; None: 1."""
     attenuation: tuple[Array, Array, Array] | None
@@ -89,8 +91,9 @@ def lights_in_world(
     ambient = color * field(lights.ambient_intensity) if plan.ambient else None
 
     def world_direction(values: Array) -> Vector:
-        vector = planes(values)
-        return unit(vector if plan.frame == "identity" else transform(linear, vector))[0]
+        # Normalised in its own frame first: it may be of any length, and its derivative along itself is exactly 0.
+        own = unit(planes(values))[0]
+        return own if plan.frame == "identity" else unit(transform(linear, own))[0]
 
     if isinstance(lights, DirectionalLights):
         towards = -world_direction(lights.direction)
@@ -98,12 +101,16 @@ def lights_in_world(
             own = unit(Vector(*(a[-1] for a in planes(lights.direction))))[0]
             aimed = -transform(camera_to_world.astype(dtype), own)
             towards = Vector(*(a.at[-1].set(b) for a, b in zip(towards, aimed, strict=True)))
-        return WorldLights(direct, ambient, towards, *(None,) * 8)
+        return WorldLights(direct, ambient, towards, *(None,) * 9)
 
-    local_place = planes(lights.location)
-    place = local_place
+    location = place = planes(lights.location)
+    to_local = local_place = None
     if plan.frame != "identity":
-        place = transform(linear, local_place) + Vector(*(to_world[:, None, None, i, 3] for i in range(3)))
+        origin = Vector(*(to_world[:, None, None, i, 3] for i in range(3)))
+        place = transform(linear, location) + origin
+        if plan.frame == "general":
+            to_local = field(lights.to_local)[:, None, None]
+            local_place = location + transform(to_local, origin)
     spot = isinstance(lights, SpotLights)
     coefficients = None
     if plan.attenuation:
@@ -111,13 +118,14 @@ def lights_in_world(
         coefficients = (c1, c2, c3 if plan.attenuation == "quadratic" else jnp.zeros_like(c3))
     scale = None
     if plan.frame == "similarity":
-        scale = on_lanes(jnp.sqrt(jnp.sum(to_world[:, :, 0] ** 2, axis=1)), lanes)
+        scale = unit(Vector(*(on_lanes(to_world[:, i, 0], lanes) for i in range(3))))[1]
     return WorldLights(
         direct=direct,
         ambient=ambient,
         towards=None,
         place=place,
-        to_local=field(lights.to_local)[:, None, None] if plan.frame == "general" else None,
+        to_local=to_local,
+        local_place=local_place,
         unit_length=scale,
         attenuation=coefficients,
         radius=on_lanes(field(lights.radius), lanes) if plan.radius else None,

@@ -1,0 +1,160 @@
+"""One answer, however it is asked for: eager or compiled, forward or reverse, in any batch, beside anything."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fit_scenes import precision
+from jaxlight import Scene, nodes, shade
+from jaxlight.lighting import make_plan
+from jaxlight.raster import SampleBuffer
+
+EYE = (0.5, 1.0, 6.0)
+EPSILON = {"float32": 2.0**-23, "float64": 2.0**-52}
+
+
+def scene_of_everything(dtype: Any = None) -> Scene:
+    """A spot, which has all that a light can have, a sun, and fog."""
+    body = nodes.Material(
+        ambient_intensity=0.25, diffuse_color=(0.75, 0.5, 0.25), shininess=0.3, specular_color=(0.5, 0.6, 0.4)
+    )
+    spot = nodes.SpotLight(
+        location=(-1.0, 2.0, 3.0),
+        ambient_intensity=0.5,
+        direction=(1.0, -2.0, -3.5),
+        beam_width=0.1,
+        cut_off_angle=1.0,
+        attenuation=(0.7, 0.1, 0.1),
+    )
+    sun = nodes.DirectionalLight(direction=(-1.0, 0.5, -2.0), global_=True)
+    fog = nodes.Fog(visibility_range=20.0, fog_type="EXPONENTIAL", color=(0.5, 0.6, 0.7))
+    shape = nodes.Shape(appearance=nodes.Appearance(material=body))
+    scene = Scene.from_nodes([shape, spot, sun, fog], dtype=dtype)
+    return dataclasses.replace(scene, document=None)
+
+
+def rows(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    random = np.random.default_rng(seed)
+    return random.uniform(-2, 2, (count, 3)), random.normal(size=(count, 3)) + np.array([0, 0, 1])
+
+
+def colors(scene: Scene, position: np.ndarray, normal: np.ndarray, dtype: Any = None) -> np.ndarray:
+    samples = SampleBuffer.create(position, normal, EYE, dtype=dtype)
+    return np.asarray(shade(scene, samples))
+
+
+# --- batches ----------------------------------------------------------------------------------------------------------
+
+
+def test_rows_do_not_depend_on_the_batch() -> None:
+    """From one row to more than 8000, where XLA's CPU backend changes how it reduces."""
+    scene, (position, normal) = scene_of_everything(), rows(9000)
+    whole = colors(scene, position, normal)
+    for count in (1, 7, 1000):
+        np.testing.assert_allclose(colors(scene, position[:count], normal[:count]), whole[:count], rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("count", [5, 9000])
+def test_rows_do_not_depend_on_their_neighbours(count: int) -> None:
+    """Zero normals, samples at a light and at the viewer, and far away, change no other row: not one bit of it."""
+    scene, (position, normal) = scene_of_everything(), rows(count)
+    alone = colors(scene, position, normal)
+    odd = np.arange(count) % 4 == 1
+    position, normal = position.copy(), normal.copy()
+    which = np.arange(count) % 16
+    position[odd & (which == 1)] = (-1.0, 2.0, 3.0)
+    position[odd & (which == 5)] = EYE
+    normal[odd & (which == 9)] = 0
+    position[odd & (which == 13)] = 1e37
+    beside = colors(scene, position, normal)
+    assert np.isfinite(beside).all()
+    np.testing.assert_array_equal(beside[~odd], alone[~odd])
+
+
+def test_rows_beside_no_numbers() -> None:
+    """A row that is NaN stays alone with it, in small and large batches, in colours and in derivatives by position."""
+    scene = scene_of_everything()
+    for count in (5, 9000):
+        position, normal = rows(count)
+        good = SampleBuffer.create(position, normal, EYE)
+        bad = dataclasses.replace(good, position_planes=good.position_planes.at[0, :, 1].set(jnp.nan))
+        plan = make_plan(scene, good, free=True)
+
+        def both(samples: SampleBuffer, plan: Any = plan, count: int = count) -> tuple[np.ndarray, np.ndarray]:
+            def total(planes: jax.Array) -> tuple[jax.Array, jax.Array]:
+                found = shade(scene, dataclasses.replace(samples, position_planes=planes), plan=plan)
+                return jnp.sum(found[:, :3]), found
+
+            slope, found = jax.jit(jax.grad(total, has_aux=True))(samples.position_planes)
+            return np.asarray(found), np.asarray(slope).swapaxes(1, 2).reshape(-1, 3)[:count]
+
+        (alone, slopes), (beside, slopes_beside) = both(good), both(bad)
+        others = np.arange(count) != 1
+        np.testing.assert_array_equal(beside[others], alone[others])
+        np.testing.assert_array_equal(slopes_beside[others], slopes[others])
+
+
+# --- eager and compiled -----------------------------------------------------------------------------------------------
+
+
+def test_compiled_is_eager() -> None:
+    """To some last bits: compiled, multiplications and additions may be joined."""
+    with precision("float32") as dtype:
+        scene, (position, normal) = scene_of_everything(dtype), rows(50)
+        samples = SampleBuffer.create(position, normal, EYE, dtype=dtype)
+        compiled = np.asarray(shade(scene, samples))
+        within = np.asarray(jax.jit(lambda scene, samples: shade(scene, samples))(scene, samples))
+        with jax.disable_jit():
+            eager = np.asarray(shade(scene, samples))
+    tolerance = 40 * EPSILON["float32"]
+    np.testing.assert_allclose(compiled, eager, rtol=tolerance, atol=tolerance)
+    np.testing.assert_allclose(within, eager, rtol=tolerance, atol=tolerance)
+
+
+# --- derivatives ------------------------------------------------------------------------------------------------------
+
+
+def total_color(scene: Scene, samples: SampleBuffer, plan: Any, weights: jax.Array) -> jax.Array:
+    return jnp.sum(weights * shade(scene, samples, plan=plan)[:, :3])
+
+
+def close(a: Any, b: Any, tolerance: float) -> None:
+    """Leaf by leaf, relative to the largest number of the leaf."""
+    for got, wanted in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        size = float(np.max(np.abs(wanted), initial=1e-3))
+        np.testing.assert_allclose(got, wanted, rtol=tolerance, atol=tolerance * size)
+
+
+def test_derivatives_agree_in_every_mode() -> None:
+    """Along one direction: J v forward, v . grad in reverse; H v forward over reverse, reverse over forward
+    and forward over forward."""
+    tolerance = 2000 * EPSILON["float64"]
+    with precision("float64") as dtype:
+        scene, (position, normal) = scene_of_everything(dtype), rows(40)
+        samples = SampleBuffer.create(position, normal, EYE, dtype=dtype)
+        plan = make_plan(scene, samples, free=True)
+        random = np.random.default_rng(2)
+        weights = jnp.asarray(random.normal(size=(40, 3)), dtype)
+        steps = jax.tree.map(lambda leaf: jnp.asarray(random.normal(size=leaf.shape), dtype) * leaf, scene)
+
+        def value(scene: Scene) -> jax.Array:
+            return total_color(scene, samples, plan, weights)
+
+        def along(function: Callable) -> Callable:
+            return lambda scene: jax.jvp(function, (scene,), (steps,))[1]
+
+        def dotted(slope: Scene) -> jax.Array:
+            return sum((jnp.sum(a * b) for a, b in zip(*map(jax.tree.leaves, (slope, steps)), strict=True)), start=0.0)
+
+        slope = jax.jit(jax.grad(value))(scene)
+        np.testing.assert_allclose(jax.jit(along(value))(scene), dotted(slope), rtol=tolerance)
+        forward_over_reverse = jax.jit(along(jax.grad(value)))(scene)
+        close(jax.jit(jax.grad(along(value)))(scene), forward_over_reverse, tolerance)
+        np.testing.assert_allclose(jax.jit(along(along(value)))(scene), dotted(forward_over_reverse), rtol=tolerance)

@@ -1,0 +1,209 @@
+"""Every singular point of the equation: at the point, and 1, 2 and 16 ulp to both sides, against exact answers.
+
+The equation's families of adversarial cases, values and derivatives, and the scalar factors by themselves.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from benchmarks.stress.judge import Block, Judged
+from mpmath import mp, mpf
+
+from cases_to_scenes import structure
+from jaxlight.lighting import elementary, factors
+from jaxlight.lighting.vectors import Vector, unit
+from oracle.adversarial import FAMILIES, adversarial_cases
+from oracle.case import Case
+
+SEED = 3
+POINTS = 12
+"""Singular points of each family."""
+STRUCTURES = 5
+"""Kinds of scene that are compiled: those that most cases have."""
+VALUES, DERIVATIVES = 4.0, 16.0
+"""Errors that are allowed, in ulp x condition."""
+
+
+@functools.cache
+def cases() -> list[Case]:
+    """Of every family the cases around its points, as far as they have one of the commonest structures."""
+    drawn = [case for family in FAMILIES for case in adversarial_cases(SEED, 7 * POINTS, (family,))]
+    shapes = [structure(case) for case in drawn]
+    commonest = sorted(set(shapes), key=shapes.count)[-STRUCTURES:]
+    return [case for case, shape in zip(drawn, shapes, strict=True) if shape in commonest]
+
+
+@functools.cache
+def judged() -> tuple[Judged, Judged]:
+    """Values and derivatives of all cases."""
+    block = Block(cases(), "float32")
+    return block.judge_values(), block.judge_derivatives("reverse")
+
+
+def of_family(family: str) -> np.ndarray:
+    """Places of the family's cases."""
+    return np.array([i for i, case in enumerate(cases()) if case.label.startswith(f"{family}[")], dtype=int)
+
+
+HELD = [family for family in FAMILIES if len(of_family(family))]
+
+
+def test_hardly_a_family_is_left_out() -> None:
+    assert len(HELD) >= len(FAMILIES) - 6
+    assert len(cases()) > 1000
+
+
+@pytest.mark.parametrize("family", HELD)
+def test_values(family: str) -> None:
+    values, _ = judged()
+    own = of_family(family)
+    assert values.finite[own].all()
+    asked = own[~np.isnan(values.relative[own])]
+    worst = max(asked, key=lambda i: values.relative[i], default=None)
+    assert worst is None or values.relative[worst] <= VALUES, cases()[worst]
+
+
+@pytest.mark.parametrize("family", HELD)
+def test_derivatives(family: str) -> None:
+    _, derivatives = judged()
+    own = of_family(family)
+    assert derivatives.finite[own].all()
+    asked = own[~np.isnan(derivatives.relative[own])]
+    worst = max(asked, key=lambda i: derivatives.relative[i], default=None)
+    assert worst is None or derivatives.relative[worst] <= DERIVATIVES, cases()[worst]
+
+
+# --- the factors by themselves ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(autouse=True)
+def fifty_digits() -> Iterator[None]:
+    with mp.workdps(50):
+        yield
+
+
+def beside(*points: float) -> np.ndarray:
+    """The points and their float32 neighbours 1, 2 and 16 ulp to both sides."""
+    found = []
+    for point in points:
+        for steps in (-16, -2, -1, 0, 1, 2, 16):
+            x = np.float32(point)
+            for _ in range(abs(steps)):
+                x = np.nextafter(x, np.float32(np.inf if steps > 0 else -np.inf))
+            found.append(x)
+    return np.array(found)
+
+
+def ulp_apart(got: jax.Array, wanted: Sequence[mpf]) -> float:
+    """The largest difference in ulp of float32; below the smallest normal number in ulp of that."""
+    errors = []
+    for x, exact in zip(np.asarray(got, dtype=np.float64).ravel(), wanted, strict=True):
+        spacing = max(float(np.spacing(np.float32(abs(exact)))), float(np.finfo(np.float32).tiny))
+        errors.append(abs(float((mpf(float(x)) - exact) / mpf(spacing))))
+    return max(errors)
+
+
+@pytest.mark.parametrize("size", [1e-45, 1e-38, 1.2e-38, 1e-37, 1e-19, 1.0, 1e19, 1e37])
+def test_unit_vectors_of_any_length(size: float) -> None:
+    x, y, z = (np.float32(size * part) for part in (2.0, -3.0, 6.0))
+    got, length = unit(Vector(jnp.float32(x), jnp.float32(y), jnp.float32(z)))
+    if size < np.finfo(np.float32).tiny / 2:  # processors may flush subnormal numbers: then the vector is zero
+        assert length == 0 or np.isfinite(length)
+        return
+    exact = mp.sqrt(sum(mpf(float(part)) ** 2 for part in (x, y, z)))
+    assert ulp_apart(length, [exact]) <= (3 if size > 1e-36 else 64)
+    if size > 1e-36:
+        assert ulp_apart(jnp.stack(got), [mpf(float(part)) / exact for part in (x, y, z)]) <= 2
+
+
+def test_the_zero_vector() -> None:
+    zero = jnp.zeros(())
+    (got, length), slope = jax.jvp(lambda x: unit(Vector(x, zero, zero)), (zero,), (jnp.ones(()),))
+    assert [*map(float, got), float(length)] == [0, 0, 0, 0]
+    assert [*map(float, slope[0]), float(slope[1])] == [0, 0, 0, 0]
+
+
+def test_powers_near_the_peak_keep_their_digits() -> None:
+    """The error of (N . H)^128 is not 128 times that of N . H."""
+    for versine in (0.0, 1e-12, 1e-7, 1e-4, 1e-2, 0.1):
+        nearby = -np.abs(beside(versine))
+        got = factors.highlight(jnp.asarray(nearby), jnp.float32(128.0))
+        wanted = [(1 + mpf(float(x))) ** 128 for x in nearby]
+        condition = 1 + 128 * abs(versine)
+        assert ulp_apart(got, wanted) <= 4 * condition
+
+
+@pytest.mark.parametrize(("exponent", "value"), [(0.0, 1.0), (1e-30, 0.0), (1.0, 0.0), (128.0, 0.0)])
+def test_powers_of_what_faces_away(exponent: float, value: float) -> None:
+    away, exponent_of = jnp.float32(factors.AWAY), jnp.float32(exponent)
+    assert factors.highlight(away, exponent_of) == value
+    slopes = jax.grad(factors.highlight, argnums=(0, 1))(away, exponent_of)
+    assert [*map(float, slopes)] == [0, 0]
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-30, 1e-7, 1e-3, 0.5, np.pi / 4, np.pi / 2, 3.0, np.pi])
+def test_angles_from_zero_to_pi(angle: float) -> None:
+    """Where an arc cosine has no digits left, too."""
+    nearby = np.abs(beside(angle))
+    y = np.sin(nearby.astype(np.float64)).astype(np.float32)
+    x = np.cos(nearby.astype(np.float64)).astype(np.float32)
+    got = elementary.arctangent(jnp.abs(jnp.asarray(y)), jnp.asarray(x))
+    wanted = [mp.atan2(abs(mpf(float(b))), mpf(float(a))) for a, b in zip(x, y, strict=True)]
+    assert ulp_apart(got, wanted) <= 2
+
+
+def test_the_spots_ramp_at_its_ends() -> None:
+    beam, cut_off = np.float32(0.25), np.float32(0.75)
+    angles = beside(0.25, 0.75)
+    got = factors.spot(jnp.asarray(angles), jnp.asarray(beam), jnp.asarray(cut_off))
+    wanted = [min(mpf(1), max(mpf(0), (mpf(0.75) - mpf(float(a))) / mpf(0.5))) for a in angles]
+    assert ulp_apart(got, wanted) <= 1
+    for angle in angles:
+        slopes = jax.grad(factors.spot, argnums=(0, 1, 2))(*map(jnp.float32, (angle, beam, cut_off)))
+        assert -2.01 <= slopes[0] <= 0 and 0 <= slopes[1] <= 2.01 and 0 <= slopes[2] <= 2.01
+
+
+@pytest.mark.parametrize("width", [0.25, 1.5])
+def test_a_spot_without_a_ramp_jumps(width: float) -> None:
+    angles = beside(width)
+    got = factors.spot(jnp.asarray(angles), jnp.float32(width), jnp.float32(width))
+    np.testing.assert_array_equal(got, np.where(angles < np.float32(width), 1.0, 0.0))
+    slopes = jax.grad(factors.spot, argnums=(0, 1, 2))(*map(jnp.float32, (width, width, width)))
+    assert [*map(float, slopes)] == [0, 0, 0]
+
+
+def test_attenuation_at_a_sum_of_one() -> None:
+    for c1 in beside(0.25):
+        got = factors.attenuation(jnp.float32(c1), jnp.float32(0.25), jnp.float32(0), jnp.float32(3))
+        assert ulp_apart(got, [1 / max(mpf(1), mpf(float(c1)) + mpf(0.75))]) <= 1
+        slope = jax.grad(factors.attenuation)(*map(jnp.float32, (c1, 0.25, 0.0, 3.0)))
+        assert -1.0001 <= slope <= 0
+
+
+@pytest.mark.parametrize("visibility", [-1.0, 0.0, 1e-37, 1e-20, 3.0, 1e20, 1e37])
+@pytest.mark.parametrize("fog", [factors.linear_fog, factors.exponential_fog])
+def test_fog_at_before_and_beyond_the_visibility(fog, visibility: float) -> None:
+    near = beside(visibility) if visibility > 0 else np.float32([1.0])
+    distances = np.abs(np.concatenate([near, np.float32([0.0, 1.0])]))
+    for d in distances:
+        clear, hidden = fog(jnp.float32(d), jnp.float32(visibility))
+        v, d_exact = mpf(float(np.float32(visibility))), mpf(float(d))
+        if v <= 0:
+            f0 = mpf(1)
+        elif d_exact >= v:
+            f0 = mpf(0)
+        else:
+            f0 = (v - d_exact) / v if fog is factors.linear_fog else mp.exp(-d_exact / (v - d_exact))
+        flushed = 0 < v - d_exact < np.finfo(np.float32).tiny
+        assert flushed or ulp_apart(jnp.stack([clear, hidden]), [f0, 1 - f0]) <= (
+            2 if fog is factors.linear_fog else 2 + 2 * abs(float(mp.log(f0 or 1)))
+        )
+        slopes = jax.grad(lambda d, v: fog(d, v)[0], argnums=(0, 1))(jnp.float32(d), jnp.float32(visibility))
+        assert np.isfinite(slopes).all()
+        assert slopes[0] <= 0 <= slopes[1]
