@@ -6,6 +6,9 @@ strengths leave the geometry untouched.
 
     weighing   colours and strengths: derivatives of sums and products
     shaping    places, directions, angles, exponents: derivatives through the whole equation
+
+Among those that weigh, some are linear together: all colours of materials, or the colours of lights, or their
+strengths, or the exposures, but no two of these, since they multiply each other.
 """
 
 from __future__ import annotations
@@ -21,6 +24,15 @@ from .parameters import Parameters
 
 _COLORS = ("diffuse_color", "specular_color", "emissive_color", "color")
 _STRENGTHS = ("ambient_intensity", "intensity", "transparency")
+_ADDED = (("materials", "emissive_color"), ("fog", "color"))
+_LIGHTS = ("directional", "point", "spot")
+_TOGETHER: tuple[frozenset[tuple[str, str]], ...] = (
+    frozenset([("materials", "diffuse_color"), ("materials", "specular_color"), *_ADDED]),
+    frozenset([*((kind, "color") for kind in _LIGHTS), *_ADDED]),
+    frozenset([*((kind, field) for kind in _LIGHTS for field in ("intensity", "ambient_intensity")), *_ADDED]),
+    frozenset([("views", "exposure")]),
+)
+"""Fields in which the equation is linear as long as all others are fixed."""
 
 
 class Columns(eqx.Module):
@@ -33,11 +45,18 @@ class Columns(eqx.Module):
     """1 where a channel of a direction (weighing ones first) is that channel of a number's column."""
     mixed: bool = eqx.field(static=True)
     """True if a number both weighs and shapes (ties between such fields); it counts as shaping."""
+    together: int = eqx.field(static=True)
+    """So many directions, the first of the weighing ones, are linear together."""
 
     @property
     def count(self) -> int:
         """Number of directions."""
         return self.own.shape[1]
+
+    def linear(self) -> Columns:
+        """The directions that are linear together."""
+        few = self.together
+        return Columns(self.weighing[:few], self.shaping[:0], self.own[:, :few], mixed=False, together=few)
 
     def gathered(self, products: Float[Array, "3 directions directions"]) -> Float[Array, "numbers numbers"]:
         """J^T J from the products of the directions' derivatives, channel by channel."""
@@ -58,8 +77,9 @@ def columns_of(parameters: Parameters, dtype: Any) -> Columns:
     for part in parameters.leaves:
         for element, number in zip(np.asarray(part.elements).tolist(), np.asarray(part.sources).tolist(), strict=True):
             sets[number].append((part.leaf, element))
+    together = _most_together(sets)
     groups: dict[Any, dict[int, int]] = {}
-    weighs: dict[Any, bool] = {}
+    rank: dict[Any, int] = {}
     mixed = False
     for number, elements in enumerate(sets):
         kinds = {_weighs(leaf) for leaf, _ in elements}
@@ -67,20 +87,29 @@ def columns_of(parameters: Parameters, dtype: Any) -> Columns:
         channel = _channel(elements)
         key: Any = number if channel is None else tuple((leaf, element // 3) for leaf, element in elements)
         groups.setdefault(key, {})[-1 if channel is None else channel] = number
-        weighs[key] = kinds == {True}
-    keys = sorted(groups, key=lambda key: not weighs[key])
+        rank[key] = 0 if number in together else 1 if kinds == {True} else 2
+    keys = sorted(groups, key=lambda key: rank[key])
     directions, own = np.zeros((len(keys), len(sets))), np.zeros((3, len(keys), len(sets)))
     for row, key in enumerate(keys):
         for channel, number in groups[key].items():
             directions[row, number] = 1
             own[slice(None) if channel < 0 else channel, row, number] = 1
-    weighing = sum(weighs.values())
+    ranks = list(rank.values())
+    weighing = ranks.count(0) + ranks.count(1)
     return Columns(
         jnp.asarray(directions[:weighing], dtype),
         jnp.asarray(directions[weighing:], dtype),
         jnp.asarray(own, dtype),
         mixed,
+        ranks.count(0),
     )
+
+
+def _most_together(sets: list[list[tuple[Any, int]]]) -> set[int]:
+    """The largest set of numbers that are linear together; the first of equal ones."""
+    names = [{("views", "exposure") if leaf is None else (leaf.attribute, leaf.field) for leaf, _ in e} for e in sets]
+    choices = [{number for number, fields in enumerate(names) if fields <= group} for group in _TOGETHER]
+    return max(choices, key=len)
 
 
 def _weighs(leaf: Any) -> bool:

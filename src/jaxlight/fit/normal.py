@@ -15,7 +15,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .curvature import NormalEquations
+from .columns import Columns
+from .curvature import DenseCurvature, NormalEquations
 from .parameters import World
 from .problem import Problem, scene_of_view
 from .residuals import half_loss, reweight, view_colors, weighted_difference
@@ -45,7 +46,35 @@ def normal_equations(problem: Problem, values: Float[Array, " parameters"]) -> N
     """Loss, gradient and Gauss-Newton matrix at these values."""
     if problem.parameters.blocks:
         return texel_equations(problem, values)
-    columns = problem.columns
+    return _equations(problem, values, problem.columns)
+
+
+def settled(
+    problem: Problem, values: Float[Array, " parameters"]
+) -> tuple[Float[Array, " parameters"], Float[Array, ""]]:
+    """The values with the numbers that are linear together at their best (variable projection), and the loss there.
+
+    Where residuals are not linear (robust losses, sensor limits) or texels are eliminated anyway, the values stay.
+    """
+    columns, parameters = problem.columns.linear(), problem.parameters
+    if not problem.settles or columns.count == 0:
+        return values, loss(problem, values)
+    here, gradient, curvature = _equations(problem, values, columns)
+    moves = jnp.any(columns.own > 0, axis=(0, 1))
+    lower, upper = (jnp.where(moves, bound - values, 0) for bound in (parameters.lower, parameters.upper))
+    lengths = jnp.sqrt(jnp.maximum(jnp.diagonal(curvature), 0))
+    scale = jnp.where(lengths > 0, lengths, 1)
+    change = DenseCurvature(curvature).minimise((), gradient, scale, jnp.zeros((), values.dtype), lower, upper).point
+    best = jnp.clip(values + change, parameters.lower, parameters.upper)
+    # The loss is the quadratic itself.
+    change = jnp.where(moves, best - values, 0)
+    there = here + _dot(change, gradient + _dot(curvature, change) / 2)
+    usable = jnp.isfinite(there)
+    return jnp.where(usable, best, values), jnp.where(usable, jnp.maximum(there, 0), here)
+
+
+def _equations(problem: Problem, values: Float[Array, " parameters"], columns: Columns) -> NormalEquations:
+    """The normal equations with the derivatives in some directions, priors included."""
 
     def products(residual: Array, planes: Array) -> tuple[Array, Array, Array]:
         weight = reweight(*problem.rho, residual)
@@ -60,7 +89,7 @@ def normal_equations(problem: Problem, values: Float[Array, " parameters"]) -> N
             residual, push = jax.linearize(lambda v: view_residual(problem, problem.at(v), view), values)
             planes = jax.lax.map(push, jnp.concatenate([columns.weighing, columns.shaping]))
             return add(carry, products(residual, jnp.swapaxes(planes, 0, 1)))
-        derivatives = derivatives_by_tile(problem, view, values)
+        derivatives = derivatives_by_tile(problem, view, values, columns)
         return over_tiles(problem, view, lambda carry, tile: (add(carry, products(*derivatives(tile))), None), carry)[0]
 
     zeros = (

@@ -43,6 +43,8 @@ class Problem(eqx.Module):
     loss_scale: Float[Array, ""]
     """Residual at which a robust loss turns from squares to tolerance."""
     loss_kind: LossKind = eqx.field(static=True)
+    settles: bool = eqx.field(static=True)
+    """Whether numbers that are linear together are kept at their best: squares, no sensor limits, no whole textures."""
 
     @property
     def rho(self) -> tuple[LossKind, Array]:
@@ -115,6 +117,9 @@ def make_problem(
         count=jnp.asarray(count, dtype=dtype),
         loss_scale=jnp.asarray(1.0 if loss_scale is None else loss_scale, dtype=dtype),
         loss_kind=loss,
+        settles=loss == "squares"
+        and not parameters.blocks
+        and all(view.saturated is None and view.dark is None for view in each),
     )
     noise_known = all(view.noise is not None for view in each)
     return problem, Description(fields, labels, names, count, noise_known, scene.document)
@@ -132,7 +137,8 @@ def _planned(world: World, parameters: Parameters, view: ViewData, options: Ligh
 
 def _strides(scene: Scene, parameters: Parameters, fields: list[FreeField], views: list[View], dtype: Any) -> Strides:
     """How far each parameter may go in a step; lights are measured from the middle of what the views show."""
-    middle = np.mean([np.mean(np.asarray(view.samples.position, np.float64), axis=0) for view in views], axis=0)
+    middles = [(np.asarray(v.samples.tile_low) + np.asarray(v.samples.tile_high)) / 2 for v in views]
+    middle = np.mean([np.mean(each, axis=1, dtype=np.float64) for each in middles], axis=0)
     count = len(parameters.start)
     down, up, floor = np.full(count, np.inf), np.full(count, np.inf), np.ones(count)
     origin, group = np.zeros(count), np.arange(count)

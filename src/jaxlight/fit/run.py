@@ -30,15 +30,15 @@ def residual_function(values: Array, problem: Problem) -> tuple[Any, None]:
     return normal.residuals(problem, values), None
 
 
-def _loss(values: Array, problem: Problem) -> Array:
-    return normal.loss(problem, values)
-
-
 def _normal_equations(values: Array, problem: Problem) -> normal.NormalEquations:
     return normal.normal_equations(problem, values)
 
 
-_OPTIONS = {"loss": _loss, "normal_equations": _normal_equations}
+def _settled(values: Array, problem: Problem) -> tuple[Array, Array]:
+    return normal.settled(problem, values)
+
+
+_OPTIONS = {"settled": _settled, "normal_equations": _normal_equations}
 
 
 def make_solver(problem: Problem, *, rtol: float | None = None, atol: float | None = None) -> BoundedLevenbergMarquardt:

@@ -4,7 +4,7 @@
     search    damping by the gain ratio (`GainRatio`)
     solver    evaluates the loss at every trial and the normal equations only where a trial is accepted
 
-The derivatives come from two functions in `options` (`loss`, `normal_equations`), so that a problem with millions of
+The derivatives come from two functions in `options` (`settled`, `normal_equations`), so that a problem with millions of
 residuals never forms its Jacobian; without them they are taken from the residual function.
 """
 
@@ -74,7 +74,9 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     lead upwards and the whole step left is a small part of the standard error that `freedom` (residuals less
     parameters) implies; without `freedom` this test is off.
 
-    Takes the `options` `loss(y, args)` and `normal_equations(y, args) -> (loss, gradient, curvature)`.
+    Takes the `options` `normal_equations(y, args) -> (loss, gradient, curvature)` and `settled(y, args) -> (y, loss)`,
+    which may move the numbers in which the residuals are linear to their best. Each trial is settled before it is
+    judged; with the joint step that is variable projection in Kaufman's form.
     """
 
     rtol: Any
@@ -129,13 +131,13 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     def step(
         self, fn: Any, y: Array, args: Any, options: Any, state: SolverState, tags: Any
     ) -> tuple[Array, SolverState, Any]:
-        loss_at, model_at = _evaluators(fn, options)
-        trial = state.y_eval
-        trial_loss = loss_at(trial, args)
+        settled_at, model_at = _evaluators(fn, options)
+        proposed = state.y_eval
+        trial, trial_loss = settled_at(proposed, args)
         step_size, accept, result, search_state = self.search.step(
             state.first_step,
             y,
-            trial,
+            proposed,
             self._model(state.loss, state.gradient, state.curvature),
             optx.FunctionInfo.Eval(trial_loss),
             state.search_state,
@@ -203,23 +205,23 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
 
 def _evaluators(fn: Any, options: dict[str, Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """(loss, normal equations), from the options or from the residual function."""
+    """(values settled and their loss, normal equations), from the options or from the residual function."""
     if "normal_equations" in options:
-        return options["loss"], options["normal_equations"]
+        return options["settled"], options["normal_equations"]
 
     def flat(y: Array, args: Any) -> Array:
         return ravel_pytree(fn(y, args)[0])[0]
 
-    def loss(y: Array, args: Any) -> Array:
+    def unsettled(y: Array, args: Any) -> tuple[Array, Array]:
         residual = flat(y, args)
-        return jnp.vdot(residual, residual) / 2
+        return y, jnp.vdot(residual, residual) / 2
 
     def normal_equations(y: Array, args: Any) -> tuple[Array, Array, Array]:
         residual = flat(y, args)
         jacobian = jax.jacfwd(flat)(y, args)
         return jnp.vdot(residual, residual) / 2, jacobian.T @ residual, jacobian.T @ jacobian
 
-    return loss, normal_equations
+    return unsettled, normal_equations
 
 
 def default_tolerance(dtype: Any) -> tuple[float, float]:

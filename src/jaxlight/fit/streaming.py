@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 from ..lighting.prepared import Prepared, prepare
 from ..lighting.stages import Stage
 from ..lighting.tiles import Run, surface_runs, tile_color, tile_of
+from .columns import Columns
 from .problem import Problem, scene_of_view
 from .residuals import composited, weighted_difference
 from .views import ViewData
@@ -96,13 +97,13 @@ def _is_none(leaf: Any) -> bool:
 
 
 def derivatives_by_tile(
-    problem: Problem, view: ViewData, values: Float[Array, " parameters"]
+    problem: Problem, view: ViewData, values: Float[Array, " parameters"], columns: Columns
 ) -> Callable[[Tile], tuple[Array, Array]]:
     """A function of a tile: its residuals [3, samples] and their derivatives [3, directions, samples], see `columns`.
 
     The scene is linearised once a view, the tiles with respect to what the scene comes to.
     """
-    columns, few = problem.columns, problem.parameters.few
+    few = problem.parameters.few
 
     def parts_at(numbers: Array) -> tuple[ViewInputs, ViewInputs, ViewInputs]:
         return split_inputs(problem, view_inputs(problem, view, jnp.concatenate([numbers, values[few:]])))

@@ -33,7 +33,7 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
     def of_view(carry: Any, view: ViewData) -> tuple[Any, Any]:
         inputs = view_inputs(problem, view, values)
         images = inputs.prepared.textures
-        derivatives = derivatives_by_tile(problem, view, values)
+        derivatives = derivatives_by_tile(problem, view, values, problem.columns)
 
         def of_tile(carry: Any, tile: Tile) -> tuple[Any, Any]:
             sums, tables = carry
