@@ -169,3 +169,45 @@ def test_a_colour_s_components_share_one_derivative(free: list[Any], weighing: i
         view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE))
         columns = make_problem(scene(dtype), view, free)[0].columns
     assert (columns.weighing.shape[0], columns.shaping.shape[0]) == (weighing, shaping)
+
+
+def test_settled_numbers_are_at_their_best_and_the_others_where_they_were() -> None:
+    with precision("float64") as dtype:
+        made = problem("weights and mask", dtype)
+        values = made.parameters.start
+        settled, loss = jax.jit(normal.settled)(made, values)
+        at_best = jax.jit(normal.normal_equations)(made, settled)
+    colors = np.any(np.asarray(made.columns.linear().own) > 0, axis=(0, 1))
+    assert colors.sum() == 9, "diffuse, specular and emissive colour"
+    np.testing.assert_array_equal(np.asarray(settled)[~colors], np.asarray(values)[~colors])
+    assert float(loss) == pytest.approx(float(at_best.loss), rel=1e-12)
+    length = np.sqrt(np.maximum(np.diagonal(at_best.curvature), 1e-30))
+    lower, upper = (np.asarray(a) for a in (made.parameters.lower, made.parameters.upper))
+    downhill = np.asarray(settled) - np.asarray(at_best.gradient) / length**2
+    left = (np.clip(downhill, lower, upper) - np.asarray(settled))[colors] * length[colors]
+    assert np.abs(left).max() < 1e-9 * np.sqrt(2 * float(loss))
+
+
+@pytest.mark.parametrize("kind", ["huber", "sensor limits"])
+def test_residuals_that_are_not_linear_are_not_settled(kind: str) -> None:
+    with precision("float64") as dtype:
+        made = problem(kind, dtype)
+        values, loss = jax.jit(normal.settled)(made, made.parameters.start)
+        np.testing.assert_array_equal(values, made.parameters.start)
+        assert float(loss) == pytest.approx(float(jax.jit(normal.loss)(made, values)), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("free", "together"),
+    [
+        (["Material[body].*", "PointLight[*].color", "PointLight[*].intensity"], 9),
+        (["Material[body].specular_color", "PointLight[*].color"], 6),
+        (["Material[body].shininess", "PointLight[*].intensity", "View[0].exposure"], 2),
+        ([Free(["Material[body].diffuse_color.r", "PointLight[key].intensity"], tied="all")], 0),
+    ],
+)
+def test_what_multiplies_each_other_is_not_settled_together(free: list[Any], together: int) -> None:
+    with precision("float32") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE))
+        columns = make_problem(scene(dtype), view, free)[0].columns.linear()
+    assert np.count_nonzero(np.any(np.asarray(columns.own) > 0, axis=(0, 1))) == together
