@@ -20,8 +20,8 @@ EYE = (0.5, 1.0, 6.0)
 EPSILON = {"float32": 2.0**-23, "float64": 2.0**-52}
 
 
-def scene_of_everything(dtype: Any = None) -> Scene:
-    """A spot, which has all that a light can have, a sun, and fog."""
+def spot_in_fog(dtype: Any = None) -> Scene:
+    """A spot, which has all that a light can have, and fog."""
     body = nodes.Material(
         ambient_intensity=0.25, diffuse_color=(0.75, 0.5, 0.25), shininess=0.3, specular_color=(0.5, 0.6, 0.4)
     )
@@ -33,10 +33,9 @@ def scene_of_everything(dtype: Any = None) -> Scene:
         cut_off_angle=1.0,
         attenuation=(0.7, 0.1, 0.1),
     )
-    sun = nodes.DirectionalLight(direction=(-1.0, 0.5, -2.0), global_=True)
     fog = nodes.Fog(visibility_range=20.0, fog_type="EXPONENTIAL", color=(0.5, 0.6, 0.7))
     shape = nodes.Shape(appearance=nodes.Appearance(material=body))
-    scene = Scene.from_nodes([shape, spot, sun, fog], dtype=dtype)
+    scene = Scene.from_nodes([shape, spot, fog], dtype=dtype)
     return dataclasses.replace(scene, document=None)
 
 
@@ -55,7 +54,7 @@ def colors(scene: Scene, position: np.ndarray, normal: np.ndarray, dtype: Any = 
 
 def test_rows_do_not_depend_on_the_batch() -> None:
     """From one row to more than 8000, where XLA's CPU backend changes how it reduces."""
-    scene, (position, normal) = scene_of_everything(), rows(9000)
+    scene, (position, normal) = spot_in_fog(), rows(9000)
     whole = colors(scene, position, normal)
     for count in (1, 7, 1000):
         np.testing.assert_allclose(colors(scene, position[:count], normal[:count]), whole[:count], rtol=1e-6, atol=1e-7)
@@ -64,7 +63,7 @@ def test_rows_do_not_depend_on_the_batch() -> None:
 @pytest.mark.parametrize("count", [5, 9000])
 def test_rows_do_not_depend_on_their_neighbours(count: int) -> None:
     """Zero normals, samples at a light and at the viewer, and far away, change no other row: not one bit of it."""
-    scene, (position, normal) = scene_of_everything(), rows(count)
+    scene, (position, normal) = spot_in_fog(), rows(count)
     alone = colors(scene, position, normal)
     odd = np.arange(count) % 4 == 1
     position, normal = position.copy(), normal.copy()
@@ -80,7 +79,7 @@ def test_rows_do_not_depend_on_their_neighbours(count: int) -> None:
 
 def test_rows_beside_no_numbers() -> None:
     """A row that is NaN stays alone with it, in small and large batches, in colours and in derivatives by position."""
-    scene = scene_of_everything()
+    scene = spot_in_fog()
     for count in (5, 9000):
         position, normal = rows(count)
         good = SampleBuffer.create(position, normal, EYE)
@@ -107,7 +106,7 @@ def test_rows_beside_no_numbers() -> None:
 def test_compiled_is_eager() -> None:
     """To some last bits: compiled, multiplications and additions may be joined."""
     with precision("float32") as dtype:
-        scene, (position, normal) = scene_of_everything(dtype), rows(50)
+        scene, (position, normal) = spot_in_fog(dtype), rows(50)
         samples = SampleBuffer.create(position, normal, EYE, dtype=dtype)
         compiled = np.asarray(shade(scene, samples))
         within = np.asarray(jax.jit(lambda scene, samples: shade(scene, samples))(scene, samples))
@@ -137,7 +136,7 @@ def test_derivatives_agree_in_every_mode() -> None:
     and forward over forward."""
     tolerance = 2000 * EPSILON["float64"]
     with precision("float64") as dtype:
-        scene, (position, normal) = scene_of_everything(dtype), rows(40)
+        scene, (position, normal) = spot_in_fog(dtype), rows(40)
         samples = SampleBuffer.create(position, normal, EYE, dtype=dtype)
         plan = make_plan(scene, samples, free=True)
         random = np.random.default_rng(2)

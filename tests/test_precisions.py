@@ -17,7 +17,7 @@ from jaxlight.raster import SampleBuffer
 from oracle.cases import well_conditioned_cases
 from oracle.fast_exact import values
 from oracle.ulp import error_in_ulp
-from test_modes import EYE, rows, scene_of_everything
+from test_modes import EYE, rows, spot_in_fog
 
 HALVES = [jnp.bfloat16, jnp.float16]
 
@@ -41,7 +41,7 @@ def test_float32_is_the_same_with_and_without_x64() -> None:
     for bits in ("float32", "float32 with x64"):
         with precision(bits) as dtype:
             samples = SampleBuffer.create(*rows(30), EYE, dtype=dtype)
-            found.append(np.asarray(shade(scene_of_everything(dtype), samples)))
+            found.append(np.asarray(shade(spot_in_fog(dtype), samples)))
     assert found[0].dtype == found[1].dtype == np.float32
     np.testing.assert_array_equal(found[0], found[1])
 

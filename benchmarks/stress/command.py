@@ -78,8 +78,10 @@ def judge(seed: int, options: Stress, task: Task) -> list[Table]:
 
 def report(seed: int, options: Stress, tables: list[Table], seconds: float) -> str:
     """Everything that was found, as Markdown."""
-    counts = f"--cases {options.cases} --adversarial {options.adversarial} --shapes {options.shapes}"
-    given = f"--seed {seed} {counts}" + (f" --minutes {options.minutes:g}" if options.minutes else "")
+    words = [f"--seed {seed} --cases {options.cases} --adversarial {options.adversarial} --shapes {options.shapes}"]
+    words += [f"--second {options.second}", *([] if options.forward else ["--no-forward"])]
+    words += [f"--precisions {' '.join(options.precisions)}"]
+    given = " ".join([*words, *([f"--minutes {options.minutes:g}"] if options.minutes else [])])
     parts = [f"`jaxlight stress {given}`, {seconds:.0f} s. A case again: add `--case LABEL`."]
     for one in tables:
         parts.append(f"**{one.precision}, {_title(one.quantity)}**")

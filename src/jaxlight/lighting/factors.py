@@ -100,7 +100,7 @@ def _attenuation_jvp(primals, tangents):
     relative = factor * d
     slope = jnp.minimum(c2 + 2.0 * c3 * d, _HUGE[factor.dtype]) * factor
     change = (active * factor) * dc1 + (active * relative) * dc2
-    squared = jnp.where(total >= 1, jnp.minimum(relative * relative, _HUGE[factor.dtype]), 0.0)
+    squared = jnp.where(total >= 1, jnp.minimum(relative, _HUGE[factor.dtype] ** 0.5) ** 2, 0.0)
     return factor, -(change + squared * dc3 + (active * slope) * dd)
 
 
