@@ -104,7 +104,7 @@ def steep_reciprocal(x: Float[Array, "..."]) -> Float[Array, "..."]:
 @steep_reciprocal.defjvp
 def _steep_reciprocal_jvp(primals, tangents):
     inverse = steep_reciprocal(*primals)
-    return inverse, -(inverse * second_factor(inverse)) * tangents[0]
+    return inverse, -(inverse * (second_factor(inverse) * tangents[0]))
 
 
 @jax.custom_jvp
