@@ -47,6 +47,8 @@ class Entrant:
 
 
 JAXLIGHT = Entrant("jaxlight", "jaxlight_shade:JaxlightShade", ("jax", "equinox"))
+JAXLIGHT_BY_TILES = Entrant("jaxlight, tile by tile", "jaxlight_fit:JaxlightFit", ("jax", "equinox", "optimistix"))
+"""For value and gradient: differentiates every tile as it is evaluated, as fits do; JAXLIGHT calls `jax.grad`."""
 
 PEERS = (
     # [N, L, 3] intermediates: 64 lights on 2^20 samples would take 9 GB.

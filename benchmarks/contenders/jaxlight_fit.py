@@ -1,4 +1,4 @@
-"""jaxlight's fit by its public functions: the whole fit, and one evaluation of the normal equations."""
+"""jaxlight's fit: the whole of it, one evaluation of the normal equations, and loss and gradient tile by tile."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlight.fit import View, fit
-from jaxlight.fit.normal import normal_equations
+from jaxlight.fit.normal import loss_and_gradient, normal_equations
 from jaxlight.fit.problem import make_problem
 
 from ..fit_problem import FREE, fit_arrays, fit_start, with_values
@@ -27,7 +27,7 @@ def path_of(name: str, row: int) -> str:
 
 
 class JaxlightFit(Contender):
-    """`fit` of the common fields, or J^T J and J^T r.
+    """`fit` of the common fields; J^T J and J^T r; or loss and gradient of all fields.
 
     Args:
         work, arrays: the workload.
@@ -44,7 +44,12 @@ class JaxlightFit(Contender):
         self._free_lights, self._views = free_lights, views
 
     def prepare(self, operation: Operation) -> Run:
-        return self._prepare_fit() if operation == "fit" else self._prepare_normal_equations()
+        if operation == "fit":
+            return self._prepare_fit()
+        if operation == "value_and_gradient":
+            self._free_lights = self._work.lights
+            return self._prepare(loss_and_gradient)
+        return self._prepare(normal_equations)
 
     def _prepare_fit(self) -> Run:
         arrays = fit_arrays(self._work)
@@ -66,20 +71,22 @@ class JaxlightFit(Contender):
         lights = [name for name in names if name.startswith("lights.")]
         return material + [(name, row) for row in range(self._free_lights) for name in lights]
 
-    def _prepare_normal_equations(self) -> Run:
+    def _prepare(self, function: Any) -> Run:
         scene = scene_of(self._work, self._arrays, self._dtype)
         samples = samples_of(self._arrays, self._dtype)
         views = [View(samples, self._arrays.target.T) for _ in range(self._views)]
         free = [path_of(name, row) for name, row in self._names()]
         problem, self._description = make_problem(scene, views, free)
         values = problem.parameters.start
-        compiled = jax.jit(normal_equations).lower(problem, values).compile()
+        wide = {"xla_cpu_prefer_vector_width": 512} if jax.default_backend() == "cpu" else None
+        compiled = jax.jit(function, compiler_options=wide).lower(problem, values).compile()
         return lambda: jax.block_until_ready(compiled(problem, values))
 
     def value_and_gradient(self, result: Any) -> ValueAndGradient:
-        """The normal equations' loss is half the sum of squares, over all views."""
+        """The loss is half the sum of squares, over all views."""
         factor = 2 / self._views
-        flat = np.asarray(result.gradient) * factor
+        loss, slope = result[:2]
+        flat = np.asarray(slope) * factor
         by_path = {field.path: flat[field.numbers] for field in self._description.fields}
         gradient: dict[str, list[np.ndarray]] = {}
         for name, row in self._names():
@@ -91,4 +98,4 @@ class JaxlightFit(Contender):
             else rows[0].reshape(shapes[name].shape)
             for name, rows in gradient.items()
         }
-        return ValueAndGradient(float(result.loss) * factor, fields)
+        return ValueAndGradient(float(loss) * factor, fields)

@@ -48,8 +48,18 @@ def _minimise(problem: Problem, minimiser: Any, max_steps: int) -> tuple[Array, 
     return _bounded(problem, solution.value), solution.result, solution.stats["num_steps"]
 
 
+@jax.custom_vjp
 def _loss(free: Array, problem: Problem) -> Array:
     return normal.loss(problem, _bounded(problem, free))
+
+
+def _loss_with_slope(free: Array, problem: Problem) -> tuple[Array, Array]:
+    values, pull = jax.vjp(lambda numbers: _bounded(problem, numbers), free)
+    loss, gradient = normal.loss_and_gradient(problem, values)
+    return loss, pull(gradient)[0]
+
+
+_loss.defvjp(_loss_with_slope, lambda slope, change: (change * slope, None))
 
 
 def _bounded(problem: Problem, free: Array) -> Array:

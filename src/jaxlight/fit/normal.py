@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -20,7 +21,18 @@ from .curvature import DenseCurvature, NormalEquations
 from .parameters import World
 from .problem import Problem, scene_of_view
 from .residuals import half_loss, reweight, view_colors, weighted_difference
-from .streaming import Adder, Tile, derivatives_by_tile, over_tiles, over_views, view_inputs
+from .streaming import (
+    Adder,
+    Tile,
+    ViewInputs,
+    add_terms,
+    added_up,
+    derivatives_by_tile,
+    over_tiles,
+    over_views,
+    split_inputs,
+    view_inputs,
+)
 from .texels import neighbour_loss, texel_equations
 from .views import ViewData
 
@@ -40,6 +52,41 @@ def loss(problem: Problem, values: Float[Array, " parameters"]) -> Float[Array, 
 
     (total,) = over_views(problem, of_view, (jnp.zeros((), values.dtype),))
     return total + _prior_loss(problem, values)
+
+
+def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> tuple[Array, Array]:
+    """`loss` and its gradient in one pass: every tile is differentiated as soon as it is evaluated."""
+    if problem.parameters.blocks:  # a gradient by every texel is too large to be taken tile by tile
+        return jax.value_and_grad(lambda v: loss(problem, v))(values)
+
+    def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
+        if view.pixel is not None:
+            return add(carry, jax.value_and_grad(lambda v: points_loss(view, v))(values))
+
+        def parts_at(values: Array) -> tuple[ViewInputs, ViewInputs]:
+            weighing, shaping, fixed = split_inputs(problem, view_inputs(problem, view, values))
+            return eqx.combine(weighing, shaping), fixed
+
+        moving, pull, fixed = jax.vjp(parts_at, values, has_aux=True)
+        leaves, tree = jax.tree.flatten(moving)
+
+        def of_tile(carry: Any, tile: Tile) -> Any:
+            def of_moving(leaves: list[Array]) -> Array:
+                return half_loss(*problem.rho, tile.residual(eqx.combine(tree.unflatten(leaves), fixed)))
+
+            value, slopes = jax.value_and_grad(of_moving)(leaves)
+            return add_terms(carry, (value, *slopes)), None
+
+        zeros = (jnp.zeros((), values.dtype), *map(jnp.zeros_like, leaves))
+        value, *slopes = added_up(over_tiles(problem, view, of_tile, (zeros, jax.tree.map(jnp.zeros_like, zeros)))[0])
+        return add(carry, (value, *pull(tree.unflatten(slopes))))
+
+    def points_loss(view: ViewData, values: Array) -> Array:
+        return half_loss(*problem.rho, view_residual(problem, problem.at(values), view))
+
+    total, gradient = over_views(problem, of_view, (jnp.zeros((), values.dtype), jnp.zeros_like(values)))
+    prior, prior_gradient = jax.value_and_grad(lambda v: _prior_loss(problem, v))(values)
+    return total + prior, gradient + prior_gradient
 
 
 def normal_equations(problem: Problem, values: Float[Array, " parameters"]) -> NormalEquations:

@@ -79,7 +79,7 @@ def _weights(inputs: ViewInputs) -> list[Any]:
         found += [materials.ambient_intensity, materials.transparency]
     for lights in (prepared.directional, prepared.point, prepared.spot):
         if lights is not None:
-            found += [lights.direct] if lights.ambient is None else [lights.direct, lights.ambient]
+            found += [lights.color, lights.intensity] + ([] if lights.ambient is None else [lights.ambient])
     return found if prepared.fog is None else [*found, prepared.fog.color]
 
 

@@ -91,17 +91,18 @@ def _sum_over_chunks(
     needed = jnp.any(jnp.pad(reaches, (0, padding)).reshape(-1, CHUNK), axis=1)
 
     def spread(plane: Array) -> Array:
-        return jnp.broadcast_to(plane, (*plane.shape[:-1], lanes)) if plane.ndim == 3 else plane
+        return jnp.broadcast_to(plane, (*plane.shape[:-1], lanes)) if plane.ndim in (3, 4) else plane
 
     @jax.checkpoint
-    def of_chunk(some: WorldLights) -> Received:
-        return of(some.with_planes(spread, lambda colors: colors))
+    def of_chunk(chunks: WorldLights, number: Array) -> Received:
+        some = jax.tree.map(lambda leaf: lax.dynamic_index_in_dim(leaf, number, keepdims=False), chunks)
+        return of(some.with_planes(spread, spread))
 
-    def add(total: Received, chunk: tuple[WorldLights, Array]) -> tuple[Received, None]:
-        some, is_needed = chunk
-        return lax.cond(is_needed, lambda: total + of_chunk(some), lambda: total), None
+    def add(total: Received, number: Array) -> tuple[Received, None]:
+        # Cut out only where needed: thousands of chunks are passed over.
+        return lax.cond(needed[number], lambda: total + of_chunk(chunks, number), lambda: total), None
 
-    first = jax.eval_shape(lambda: of_chunk(jax.tree.map(lambda leaf: leaf[0], chunks)))
+    first = jax.eval_shape(of_chunk, chunks, jnp.zeros((), jnp.int32))
     dark = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), first)
-    total, _ = lax.scan(add, dark, (chunks, needed))
+    total, _ = lax.scan(add, dark, jnp.arange(needed.shape[0]))
     return total

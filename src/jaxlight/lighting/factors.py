@@ -63,20 +63,34 @@ def highlight(alignment: Array, exponent: Array) -> Array:
     return jnp.where(alignment == AWAY, jnp.where(exponent == 0, 1.0, 0.0), power)
 
 
+@jax.custom_jvp
+def known_highlight(power: Array, alignment: Array, exponent: Array) -> Array:
+    """`highlight(alignment, exponent)`, which is known to be `power`, as a function of the other two."""
+    return power
+
+
 @highlight.defjvp
 def _highlight_jvp(primals, tangents):
+    power = highlight(*primals)
+    return power, _highlight_change(power, *primals, *tangents)
+
+
+@known_highlight.defjvp
+def _known_highlight_jvp(primals, tangents):
+    return primals[0], _highlight_change(*primals, *tangents[1:])
+
+
+def _highlight_change(power: Array, x: Array, exponent: Array, dx: Array, d_exponent: Array) -> Array:
     """d x^n = n x^(n-1) dx + x^n ln(x) dn; the products are formed first, for dx may be huge.
 
     At most 2^24 dx: below exponent 1 the slope at 0 is infinite. Nearer than 2^-60 to 0 the slope is that of a kink.
     """
-    (x, exponent), (dx, d_exponent) = primals, tangents
-    power = highlight(x, exponent)
     faces = x != AWAY
     near = jnp.where(faces, x, 0.0)
     cosine = jnp.maximum(jnp.where(near <= 0, 1.0 + near, near), 2.0**-60)
     slope = jnp.minimum(exponent * (power / cosine), _STEEPEST)
     change = slope * dx + (power * log_of_alignment(near)) * d_exponent
-    return power, jnp.where(faces, change, 0.0)
+    return jnp.where(faces, change, 0.0)
 
 
 _STEEPEST = 2.0**24

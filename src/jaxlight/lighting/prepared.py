@@ -24,6 +24,7 @@ class Prepared(eqx.Module):
     """What does not depend on the sample: materials and lights in world space, in the samples' float type."""
 
     materials: Materials | None
+    """Every number on all lanes: [materials, 1, lanes], colours [materials, 3, 1, lanes]."""
     directional: WorldLights | None
     point: WorldLights | None
     spot: WorldLights | None
@@ -50,7 +51,9 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan) -> Prepared:
         rows = slice(None) if light_plan.rows is None else np.asarray(light_plan.rows)
         scopes.append(jnp.asarray(lights.in_scope.array[:, rows]) if light_plan.scoped else None)
     return Prepared(
-        materials=None if scene.materials is None else jax.tree.map(lambda a: a.astype(dtype), scene.materials),
+        materials=None
+        if scene.materials is None
+        else jax.tree.map(lambda a: on_lanes(a.astype(dtype), lanes_of(samples)), scene.materials),
         directional=world[0],
         point=world[1],
         spot=world[2],
@@ -73,10 +76,10 @@ def lanes_of(samples: SampleBuffer) -> int:
     return min(LANES, samples.tile)
 
 
-def material_row(prepared: Prepared, surface: Surface, row: Any, single: int | None, lanes: int) -> MaterialRow | None:
+def material_row(prepared: Prepared, surface: Surface, row: Any, single: int | None) -> MaterialRow | None:
     """The material of a surface row; a known row needs no lookup."""
     if surface.material < 0 or prepared.materials is None:
         return None
     rows = np.array([other.material for other in prepared.surfaces])
     material = rows[single] if single is not None else jnp.asarray(rows)[row]
-    return MaterialRow(*(on_lanes(getattr(prepared.materials, name)[material], lanes) for name in MaterialRow._fields))
+    return MaterialRow(*(getattr(prepared.materials, name)[material] for name in MaterialRow._fields))

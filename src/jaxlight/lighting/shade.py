@@ -14,7 +14,7 @@ from ..scene import Scene
 from .options import LightingOptions
 from .plan import Plan, make_plan
 from .prepared import compute_dtype, prepare
-from .tiles import colors_of_run, surface_runs
+from .tiles import colors_of_run, surface_runs, tiles_at_once
 
 
 def shade(
@@ -58,7 +58,8 @@ def shade_tiles(
 
 def _tiles_of(scene: Scene, samples: SampleBuffer, plan: Plan) -> Array:
     prepared = prepare(scene, samples, plan)
-    parts = [colors_of_run(run, prepared, samples, plan) for run in surface_runs(scene.surfaces, samples)]
+    count = tiles_at_once(scene, samples, plan)
+    parts = [colors_of_run(run, prepared, samples, plan, count) for run in surface_runs(scene.surfaces, samples)]
     if not parts:
         return jnp.zeros((0, 4, samples.tile), compute_dtype(samples))
     return jnp.concatenate(parts) if len(parts) > 1 else parts[0]

@@ -8,23 +8,92 @@ moves work across a conditional whose predicate it cannot know. A stage with one
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool
 
 
 class Stage(NamedTuple):
-    """Evaluates `stage(function)` behind a boundary; `always` is true, but only the running program knows."""
+    """Evaluates functions behind a boundary; `always` is true, but only the running program knows."""
 
     always: Bool[Array, ""]
 
     def __call__(self, function: Callable[[], Any]) -> Any:
-        """function(), a stage of its own; derivatives of all orders and modes pass through."""
+        """function(), a stage of its own."""
 
         def never() -> Any:
             return jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(function))
 
         return lax.cond(self.always, function, never)
+
+    def each(
+        self, function: Callable[..., Any], *operands: Any, derived: tuple[Any, ...] = (), wide: tuple[int, ...] = ()
+    ) -> Any:
+        """function(*operands, *derived), each result a stage of its own; all their derivatives are one more stage.
+
+        Derivatives are computed anew from the operands: only operands and results are ever stored.
+
+        Args:
+            function: closes over no traced value.
+            operands: pytrees of planes.
+            derived: what follows from the operands, and whose change `function` already counts with theirs.
+            wide: positions of smaller operands whose derivatives are summed over samples in stages of their own. XLA
+                vectorises a sum only if what it adds up is a short expression.
+        """
+        return _each((function, wide), self, operands, derived)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _each(
+    how: tuple[Callable[..., Any], tuple[int, ...]], stage: Stage, operands: tuple[Any, ...], derived: tuple[Any, ...]
+) -> Any:
+    function, _ = how
+    results, tree = jax.tree.flatten(jax.eval_shape(function, *operands, *derived))
+
+    def result(number: int) -> Array:
+        return stage(lambda: jax.tree.leaves(function(*operands, *derived))[number])
+
+    return tree.unflatten([result(number) for number in range(len(results))])
+
+
+def _each_jvp(how: tuple[Callable[..., Any], tuple[int, ...]], primals: Any, tangents: Any) -> Any:
+    function, wide = how
+    (stage, operands, derived), (_, changes, _) = primals, tangents
+    leaves, tree = jax.tree.flatten(operands)
+    changes = jax.tree.leaves(changes, is_leaf=_is_zero)
+    moving = [number for number, change in enumerate(changes) if not _is_zero(change)]
+    results = _each(how, stage, operands, derived)
+    if not moving:
+        return results, jax.tree.map(jnp.zeros_like, results)
+
+    shape = jnp.broadcast_shapes(*(result.shape for result in jax.tree.leaves(results)))
+    owner = [position for position, operand in enumerate(operands) for _ in jax.tree.leaves(operand)]
+
+    def widened(number: int, plane: Array) -> Array:
+        return jnp.broadcast_to(plane, shape) if owner[number] in wide else plane
+
+    directions = [widened(number, changes[number]) for number in moving]
+
+    @partial(jax.checkpoint, prevent_cse=False)
+    def change(leaves: list[Array], derived: Any, directions: list[Array]) -> Any:
+        def of_moving(*values: Array) -> Any:
+            merged = list(leaves)
+            for number, value in zip(moving, values, strict=True):
+                merged[number] = value
+            return function(*tree.unflatten(merged), *derived)
+
+        return jax.jvp(of_moving, [widened(number, leaves[number]) for number in moving], directions)[1]
+
+    return results, stage(lambda: change(leaves, derived, directions))
+
+
+_each.defjvp(_each_jvp, symbolic_zeros=True)
+
+
+def _is_zero(value: Any) -> bool:
+    return isinstance(value, SymbolicZero)

@@ -8,7 +8,7 @@ Planes of samples are [rows, lanes], planes of lights and samples [lights, rows,
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -32,19 +32,26 @@ class Geometry(NamedTuple):
     high: Array
     normal: Vector
     """Unit normal."""
+    eye: Vector
+    """The viewer's position, [] each."""
     to_viewer: Vector
     """Unit vector to the viewer."""
-    offset: Vector
-    """Vector to the viewer."""
     distance: Array
     """Distance to the viewer."""
 
 
 def geometry(stage: Stage, position: Vector, normal: Vector, eye: Float[Array, 3], low: Array, high: Array) -> Geometry:
     """The tile's geometry, normalised."""
-    offset = Vector(*eye) - position
-    to_viewer, distance = stage(lambda: unit(offset))
-    return Geometry(position, low, high, stage(lambda: unit(normal)[0]), to_viewer, offset, distance)
+    viewer = Vector(*eye)
+    inverse = stage(lambda: inverse_length(viewer - position))
+    to_viewer, distance = stage.each(_normalised_difference, viewer, position, derived=(inverse,))
+    inverse = stage(lambda: inverse_length(normal))
+    unit_normal, _ = stage.each(normalised, normal, derived=(inverse,))
+    return Geometry(position, low, high, unit_normal, viewer, to_viewer, distance)
+
+
+def _normalised_difference(end: Vector, start: Vector, inverse: Array) -> tuple[Vector, Array]:
+    return normalised(end - start, inverse)
 
 
 class Received(NamedTuple):
@@ -63,82 +70,157 @@ class Received(NamedTuple):
 def received(
     stage: Stage, lights: WorldLights, tile: Geometry, material: MaterialRow, *, specular: bool, specular_gate: bool
 ) -> Received:
-    """attenuation * spot * I_L * (ambient + diffuse + specular), summed over lights, without O_D and O_S.
+    """attenuation * spot * I_L * (ambient + diffuse + specular), summed over lights, without O_D and O_S."""
+    aspect = _aspect(stage, lights, tile, specular)
+    reaching = _reaching(stage, lights, tile, aspect)
+    ambient = None if lights.ambient is None else (lights.ambient, material.ambient_intensity)
+    exponent = power = None
+    if aspect.alignment is not None:
+        exponent = 128.0 * material.shininess
+        power = stage(partial(factors.highlight, aspect.alignment, exponent))
+    for_diffuse, for_specular = stage.each(
+        partial(_weights, specular_gate),
+        reaching,
+        aspect,
+        lights.intensity,
+        ambient,
+        exponent,
+        derived=(power,),
+        wide=(4,),
+    )
+    specular_light = None if for_specular is None else _sum_of_colors(lights.color, for_specular)
+    return Received(_sum_of_colors(lights.color, for_diffuse), specular_light)
 
-    Vectors per light are functions, evaluated anew in each stage: three planes cost more to keep than to compute.
+
+def _weights(
+    specular_gate: bool,
+    reaching: Array | None,
+    aspect: Aspect,
+    intensity: Array,
+    ambient: tuple[Array, Array] | None,
+    exponent: Array | None,
+    power: Array | None,
+) -> tuple[Array, Array | None]:
+    """attenuation * spot * (ambient + diffuse) and attenuation * spot * specular, without colours.
+
+    `power`: the highlight, (N . H)^exponent.
     """
-    l, reaching = _light_vector(stage, lights, tile)
-
-    def facing() -> Array:
-        return _times(reaching, factors.positive_part(dot(tile.normal, l())))
-
-    from_diffuse = _sum_of_colors(lights.direct, stage(facing))
-    if lights.ambient is not None:
-        if reaching is None:
-            ambient = jnp.sum(lights.ambient, axis=1)[:, None, None]
-        else:
-            ambient = _sum_of_colors(lights.ambient, reaching)
-        from_diffuse = from_diffuse + ambient * material.ambient_intensity
-    if not specular:
-        return Received(from_diffuse, None)
-    exponent = 128.0 * material.shininess
-    inverse = stage(lambda: inverse_length_in_range(l() + tile.to_viewer))
-    alignment = stage(lambda: factors.alignment(tile.normal, half_vector(l(), tile.to_viewer), inverse))
-
-    def highlight() -> Array:
-        power = factors.highlight(alignment, exponent)
-        return _times(reaching, jnp.where(dot(tile.normal, l()) > 0, power, 0.0) if specular_gate else power)
-
-    return Received(from_diffuse, _sum_of_colors(lights.direct, stage(highlight)))
+    diffuse = intensity * factors.positive_part(aspect.facing)
+    diffuse = _times(reaching, diffuse if ambient is None else diffuse + ambient[0] * ambient[1])
+    if power is None or exponent is None or aspect.alignment is None:
+        return diffuse, None
+    specular = _times(reaching, intensity * factors.known_highlight(power, aspect.alignment, exponent))
+    return diffuse, jnp.where(aspect.facing > 0, specular, 0.0) if specular_gate else specular
 
 
-def _light_vector(stage: Stage, lights: WorldLights, tile: Geometry) -> tuple[Callable[[], Vector], Array | None]:
-    """L as a function, and attenuation * spot * (within radius); None: 1."""
-    towards = lights.towards
-    if lights.place is None:
+class Aspect(NamedTuple):
+    """How samples see lights; planes [lights, rows, lanes]."""
+
+    facing: Array
+    """N . L"""
+    alignment: Array | None
+    """N . H, as `factors.alignment` gives it; None: no highlights."""
+    distance: Array | None
+    """d_L in the world's units; None: not asked for."""
+    angle: Array | None
+    """Between -L and the axis of a spotlight; None: no cone."""
+
+
+def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, specular: bool) -> Aspect:
+    """How a tile sees lights.
+
+    The vectors to the lights are never stored: three planes cost more to keep than to compute anew from 1 / d_L.
+    """
+    place, position, inverse, half = lights.place, tile.position, None, None
+    if place is not None:
+        inverse = lax.cond(
+            _squares_in_range(place, tile),
+            lambda: inverse_length_in_range(place - position),
+            lambda: inverse_length(place - position),
+        )
+    if specular:
+        half = stage(
+            lambda: inverse_length_in_range(_light_vector(lights.towards, place, position, inverse)[0] + tile.to_viewer)
+        )
+    return stage.each(
+        partial(_seen, lights.asks_distance and lights.to_local is None),
+        lights.towards,
+        place,
+        position,
+        tile.normal,
+        tile.to_viewer if specular else None,
+        lights.axis,
+        derived=(inverse, half),
+        wide=(0, 1, 2, 3, 4, 5),
+    )
+
+
+def _light_vector(
+    towards: Vector | None, place: Vector | None, position: Vector, inverse: Array | None
+) -> tuple[Vector, Array | None]:
+    """L, and d_L for lights that have a place."""
+    if place is None:
         assert towards is not None
-        return lambda: towards, None
+        return towards, None
+    assert inverse is not None
+    return normalised(place - position, inverse)
 
-    place, to_local, local_place = lights.place, lights.to_local, lights.local_place
-    # Kept, so that the derivatives by the places are summed over samples once, not in every stage.
-    offset = Vector(
-        stage(lambda: place.x - tile.position.x),
-        stage(lambda: place.y - tile.position.y),
-        stage(lambda: place.z - tile.position.z),
+
+def _seen(
+    asks_distance: bool,
+    towards: Vector | None,
+    place: Vector | None,
+    position: Vector,
+    normal: Vector,
+    to_viewer: Vector | None,
+    axis: Vector | None,
+    inverse: Array | None,
+    half: Array | None,
+) -> Aspect:
+    """`inverse`: 1 / d_L; `half`: 1 / |L + V|."""
+    l, distance = _light_vector(towards, place, position, inverse)
+    return Aspect(
+        facing=dot(normal, l),
+        alignment=None
+        if half is None or to_viewer is None
+        else factors.alignment(normal, half_vector(l, to_viewer), half),
+        distance=distance if asks_distance else None,
+        angle=None if axis is None else factors.angle_between(-l, axis),
     )
-    inverse = lax.cond(
-        _squares_in_range(place, tile), lambda: inverse_length_in_range(offset), lambda: inverse_length(offset)
-    )
-
-    def l() -> Vector:
-        return normalised(offset, inverse)[0]
-
-    spot = _spot(stage, lights, l)
-    distance = None
-    if to_local is not None and local_place is not None:
-        distance = stage(lambda: unit(local_place - transform(to_local, tile.position))[1])
-    if lights.attenuation is None and lights.radius is None:
-        return l, spot
-
-    def reaching() -> Array:
-        d = normalised(offset, inverse)[1] if distance is None else distance
-        if lights.unit_length is not None:
-            d = ratio(d, lights.unit_length)
-        factor = jnp.ones_like(d) if lights.attenuation is None else factors.attenuation(*lights.attenuation, d)
-        factor = _times(spot, factor)
-        # A sample is lit at d == radius.
-        return factor if lights.radius is None else jnp.where(d <= lights.radius, factor, 0.0)
-
-    return l, stage(reaching)
 
 
-def _spot(stage: Stage, lights: WorldLights, l: Callable[[], Vector]) -> Array | None:
-    """The spotlight factor; None for lights without a cone."""
-    axis, beam_width, cut_off_angle = lights.axis, lights.beam_width, lights.cut_off_angle
-    if axis is None or beam_width is None or cut_off_angle is None:
+def _reaching(stage: Stage, lights: WorldLights, tile: Geometry, aspect: Aspect) -> Array | None:
+    """attenuation * spot * (within the radius); None: 1."""
+    distance = aspect.distance
+    if lights.asks_distance and lights.to_local is not None:
+        distance = stage.each(_distance_in_frame, lights.to_local, lights.local_place, tile.position)
+    cone = None if aspect.angle is None else (aspect.angle, lights.beam_width, lights.cut_off_angle)
+    if distance is None and cone is None:
         return None
-    angle = stage(lambda: factors.angle_between(-l(), axis))
-    return stage(lambda: factors.spot(angle, beam_width, cut_off_angle))
+    return stage.each(_reach, distance, lights.unit_length, lights.attenuation, lights.radius, cone, wide=(2,))
+
+
+def _distance_in_frame(to_local: Array, local_place: Vector, position: Vector) -> Array:
+    return unit(local_place - transform(to_local, position))[1]
+
+
+def _reach(
+    distance: Array | None,
+    unit_length: Array | None,
+    coefficients: tuple[Array, Array, Array] | None,
+    radius: Array | None,
+    cone: tuple[Array, Array, Array] | None,
+) -> Array:
+    spot = None if cone is None else factors.spot(*cone)
+    if distance is None:
+        assert spot is not None
+        return spot
+    if unit_length is not None:
+        distance = ratio(distance, unit_length)
+    factor = jnp.ones_like(distance) if coefficients is None else factors.attenuation(*coefficients, distance)
+    factor = _times(spot, factor)
+    # A sample is lit at d == radius.
+    return factor if radius is None else jnp.where(distance <= radius, factor, 0.0)
 
 
 def _squares_in_range(place: Vector, tile: Geometry) -> Array:
@@ -155,13 +237,11 @@ def _times(factor: Array | None, value: Array) -> Array:
     return value if factor is None else factor * value
 
 
-def _sum_of_colors(colors: Float[Array, "3 lights"], weights: Float[Array, "lights rows lanes"]) -> Array:
-    """Sum over lights of color * weight, [3, rows, lanes], in full precision on every backend."""
-    lights, rows, lanes = weights.shape
-    if lights == 1:
-        return jnp.broadcast_to(colors[:, :, None], (3, 1, lanes)) * weights
-    flat = jnp.dot(colors, weights.reshape(lights, -1), precision=lax.Precision.HIGHEST)
-    return flat.reshape(3, rows, lanes)
+def _sum_of_colors(
+    colors: Float[Array, "3 lights 1 lanes"], weights: Float[Array, "lights rows lanes"]
+) -> Float[Array, "3 rows lanes"]:
+    """Sum over lights of color * weight."""
+    return colors[:, 0] * weights if weights.shape[0] == 1 else jnp.sum(colors * weights, axis=1)
 
 
 def lit(
@@ -175,11 +255,30 @@ def lit(
     return color if light.specular is None else color + material.specular_color * light.specular
 
 
-def fogged(
-    color: Float[Array, "3 #rows #lanes"], fog: WorldFog, fog_type: str, tile: Geometry
-) -> Float[Array, "3 rows lanes"]:
-    """I_F (1 - f0) + f0 color, with d_V measured in the fog's coordinate system."""
-    distance = tile.distance if fog.to_local is None else unit(transform(fog.to_local, tile.offset))[1]
+class Haze(NamedTuple):
+    """The fog between samples and viewer; planes [rows, lanes]."""
+
+    clear: Array
+    """f0"""
+    hidden: Array
+    """1 - f0"""
+
+
+def haze(stage: Stage, fog: WorldFog, fog_type: str, tile: Geometry) -> Haze:
+    """The fog interpolant, with d_V measured in the fog's coordinate system."""
+    distance = tile.distance
+    if fog.to_local is not None:
+        distance = stage.each(_distance_in_fog, fog.to_local, tile.eye, tile.position)
     interpolant = factors.linear_fog if fog_type == "LINEAR" else factors.exponential_fog
-    clear, hidden = interpolant(distance, fog.visibility_range)
-    return fog.color * hidden + clear * color
+    return Haze(*stage.each(interpolant, distance, fog.visibility_range))
+
+
+def _distance_in_fog(to_local: Array, eye: Vector, position: Vector) -> Array:
+    return unit(transform(to_local, eye - position))[1]
+
+
+def fogged(
+    color: Float[Array, "3 #rows #lanes"], fog_color: Float[Array, "3 1 lanes"], haze: Haze
+) -> Float[Array, "3 rows lanes"]:
+    """I_F (1 - f0) + f0 color."""
+    return fog_color * haze.hidden + haze.clear * color

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -15,13 +16,13 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..raster.samples import SampleBuffer
-from ..scene import Surface
+from ..scene import Scene, Surface
 from .culling import received_from_near
 from .plan import Plan
 from .prepared import Prepared, compute_dtype, lanes_of, material_row
 from .stages import Stage
 from .surface import MaterialRow, alpha, base_color, sampled_texture
-from .terms import Geometry, Received, fogged, geometry, lit, received
+from .terms import Geometry, Haze, Received, fogged, geometry, haze, lit, received
 from .vectors import Vector
 from .world import WorldLights, in_chunks
 
@@ -64,18 +65,41 @@ def _alike(a: Surface, b: Surface) -> bool:
     return a._replace(material=min(a.material, 0)) == b._replace(material=min(b.material, 0))
 
 
-def colors_of_run(run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan) -> Float[Array, "tiles 4 tile"]:
-    """Red, green, blue and alpha of the tiles of a run."""
+def tiles_at_once(scene: Scene, samples: SampleBuffer, plan: Plan) -> int:
+    """How many neighbouring tiles are evaluated together: several where few lights would leave the planes short."""
+    lights = 1
+    for group, light_plan in (
+        (scene.directional, plan.directional),
+        (scene.point, plan.point),
+        (scene.spot, plan.spot),
+    ):
+        if group is None or light_plan is None:
+            continue
+        if light_plan.culled:
+            return 1
+        lights = max(lights, len(group.names) if light_plan.rows is None else len(light_plan.rows))
+    count = samples.group
+    while count > 1 and count * samples.tile * lights > PLANE:
+        count //= 2
+    return count
+
+
+def colors_of_run(
+    run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, count: int
+) -> Float[Array, "tiles 4 tile"]:
+    """Red, green, blue and alpha of the tiles of a run, `count` tiles at once."""
 
     @jax.checkpoint
     def body(index: Array, prepared: Prepared, samples: SampleBuffer) -> Array:
-        color = tile_color(run, prepared, samples, plan, index)
-        return jnp.concatenate([color.rgb, color.alpha[None]])
+        color = tile_color(run, prepared, samples, plan, index, count)
+        planes = jnp.concatenate([color.rgb, color.alpha[None]])
+        return jnp.swapaxes(planes.reshape(4, count, samples.tile), 0, 1)
 
     def step(_: None, index: Array) -> tuple[None, Array]:
         return None, body(index, prepared, samples)
 
-    return lax.scan(step, None, jnp.arange(run.start, run.stop))[1]
+    colors = lax.scan(step, None, jnp.arange(run.start // count, run.stop // count))[1]
+    return colors.reshape(-1, 4, samples.tile)
 
 
 def tile_of(plane: Array, index: Array, tile: int) -> Array:
@@ -83,27 +107,33 @@ def tile_of(plane: Array, index: Array, tile: int) -> Array:
     return lax.dynamic_slice_in_dim(plane, index * tile, tile, axis=-1)
 
 
-def tile_color(run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, index: Array) -> Color:
-    """The equation on one tile."""
-    dtype, tile, lanes = compute_dtype(samples), samples.tile, lanes_of(samples)
-    stage = Stage(index >= 0 if run.stop - run.start > 1 else samples.tile_surface[0] >= 0)
+def tile_color(run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, index: Array, count: int = 1) -> Color:
+    """The equation on one tile, or on `count` tiles of one surface from tile `index` * `count` on."""
+    dtype, tile, lanes = compute_dtype(samples), samples.tile * count, lanes_of(samples)
+    stage = Stage(index >= 0 if run.stop - run.start > count else samples.tile_surface[0] >= 0)
+    first = index * count
 
-    def of_tile(planes: Array) -> Array:
-        """The tile's planes [components, rows, lanes]."""
-        return stage(lambda: planes[index].astype(dtype).reshape(planes.shape[1], -1, lanes))
+    def of_tiles(planes: Array) -> Array:
+        """[components, rows, lanes] of [tiles, components, tile]."""
+        mine = lax.dynamic_slice_in_dim(planes, first, count)
+        return jnp.swapaxes(mine, 0, 1).reshape(planes.shape[1], -1, lanes).astype(dtype)
+
+    def vector(planes: Array) -> Vector:
+        return Vector(*(stage(lambda i=i: of_tiles(planes[:, i : i + 1])[0]) for i in range(3)))
 
     def cut(planes: Array, kind: jnp.dtype = dtype) -> Array:
-        """The tile's part of planes [components, slots], [components, rows, lanes]."""
+        """The tiles' part of planes [components, slots], [components, rows, lanes]."""
         return stage(lambda: tile_of(planes, index, tile).astype(kind).reshape(planes.shape[0], -1, lanes))
 
-    position = Vector(*of_tile(samples.position_planes))
-    normal = Vector(*of_tile(samples.normal_planes))
+    def bounds(planes: Array, reduce: Callable[..., Array]) -> Array:
+        return reduce(lax.dynamic_slice_in_dim(planes, first, count, axis=1), axis=1).astype(dtype)
+
     surface = run.surface
-    row = samples.tile_surface[index] if run.single is None else run.single
-    material = material_row(prepared, surface, row, run.single, lanes)
+    row = samples.tile_surface[first] if run.single is None else run.single
+    material = material_row(prepared, surface, row, run.single)
     vertex_color = texel = None
     if surface.color_components and samples.color_planes is not None:
-        vertex_color = of_tile(samples.color_planes)
+        vertex_color = stage(partial(of_tiles, samples.color_planes))
     index_planes, weight_planes = samples.texel_index, samples.texel_weight
     if (
         surface.texture >= 0
@@ -113,23 +143,36 @@ def tile_color(run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, 
     ):
         weight = cut(weight_planes)
         texel = sampled_texture(prepared.textures[surface.texture], cut(index_planes, jnp.dtype(jnp.int32)), weight)
-    low, high = samples.tile_low[:, index].astype(dtype), samples.tile_high[:, index].astype(dtype)
+    low, high = bounds(samples.tile_low, jnp.min), bounds(samples.tile_high, jnp.max)
+    position, normal = vector(samples.position_planes), vector(samples.normal_planes)
     ground = geometry(stage, position, normal, samples.eye.astype(dtype), low, high)
     lit_material = material if surface.lighting == "lit" else None
     light = None if lit_material is None else _light(stage, prepared, plan, ground, lit_material, row)
-    fog = prepared.fog if lit_material is not None or plan.options.fog_unlit else None
-
-    def rgb() -> Array:
-        color = base_color(surface, plan.options, material, vertex_color, texel)
-        if lit_material is not None:
-            color = lit(lit_material, color, light, emissive=plan.emissive)
-        if fog is not None and plan.fog is not None:
-            color = fogged(color, fog, plan.fog.fog_type, ground)
-        return jnp.broadcast_to(color, (3, tile // lanes, lanes)).astype(dtype)
-
+    fog = None
+    if prepared.fog is not None and plan.fog is not None and (lit_material is not None or plan.options.fog_unlit):
+        fog = (prepared.fog.color, haze(stage, prepared.fog, plan.fog.fog_type, ground))
+    rgb = stage.each(
+        partial(_rgb, surface, plan, (3, tile // lanes, lanes)), material, vertex_color, texel, light, fog
+    ).astype(dtype)
     opacity = alpha(plan.options, material, vertex_color, texel)
     opacity = jnp.broadcast_to(1.0 if opacity is None else opacity, (tile // lanes, lanes)).astype(dtype)
-    return Color(stage(rgb).reshape(3, tile), opacity.reshape(tile))
+    return Color(rgb.reshape(3, tile), opacity.reshape(tile))
+
+
+def _rgb(
+    surface: Surface,
+    plan: Plan,
+    shape: tuple[int, ...],
+    material: MaterialRow | None,
+    vertex_color: Array | None,
+    texel: Array | None,
+    light: Received | None,
+    fog: tuple[Array, Haze] | None,
+) -> Float[Array, "3 rows lanes"]:
+    color = base_color(surface, plan.options, material, vertex_color, texel)
+    if surface.lighting == "lit" and material is not None:
+        color = lit(material, color, light, emissive=plan.emissive)
+    return jnp.broadcast_to(color if fog is None else fogged(color, *fog), shape)
 
 
 def _light(
@@ -161,8 +204,7 @@ def _light(
 
 def _scoped(lights: WorldLights, in_scope: Array) -> WorldLights:
     """The lights with those out of scope made black."""
-    ambient = None if lights.ambient is None else jnp.where(in_scope, lights.ambient, 0.0)
-    return dataclasses.replace(lights, direct=jnp.where(in_scope, lights.direct, 0.0), ambient=ambient)
+    return dataclasses.replace(lights, color=jnp.where(in_scope[:, None, None], lights.color, 0.0))
 
 
 def _received_from_all(of: Callable[[WorldLights], Received], lights: WorldLights, tile: Geometry) -> Received:

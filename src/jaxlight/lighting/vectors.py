@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .elementary import STEEPEST, power_of_two_above, reciprocal_of_power_of_two, second_factor
+from .elementary import STEEPEST, power_of_two_above, reciprocal_of_power_of_two, reciprocal_root, second_factor
 
 
 class Vector(NamedTuple):
@@ -126,17 +127,15 @@ def inverse_length_in_range(v: Vector) -> Array:
 def _inverse_root(v: Vector) -> Array:
     squared = dot(v, v)
     is_zero = squared == 0
-    # sqrt(x) / x, because XLA turns 1 / sqrt(x) into a slower rsqrt.
-    safe = jnp.where(is_zero, 1.0, squared)
-    return jnp.where(is_zero, 0.0, jnp.sqrt(safe) / safe)
+    return jnp.where(is_zero, 0.0, reciprocal_root(jnp.where(is_zero, 1.0, squared)))
 
 
-def _inverse_length_jvp(primals, tangents):
+def _inverse_length_jvp(function, primals, tangents):
     """d(1/|v|) = -(u . dv) / |v|^2"""
     (v,), (dv,) = primals, tangents
-    inverse = inverse_length(v)
+    inverse = function(v)
     return inverse, -(inverse * (second_factor(inverse) * dot(v.scaled(inverse), dv)))
 
 
-inverse_length.defjvp(_inverse_length_jvp)
-inverse_length_in_range.defjvp(_inverse_length_jvp)
+inverse_length.defjvp(partial(_inverse_length_jvp, inverse_length))
+inverse_length_in_range.defjvp(partial(_inverse_length_jvp, inverse_length_in_range))

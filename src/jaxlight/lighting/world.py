@@ -12,6 +12,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from ..scene import DirectionalLights, Fog, PointLights, SpotLights
@@ -26,10 +27,10 @@ class WorldLights(eqx.Module):
     and the lanes are summed once at the end instead of in every tile.
     """
 
-    direct: Float[Array, "3 lights"]
-    """color * intensity."""
-    ambient: Float[Array, "3 lights"] | None
-    """color * ambient_intensity; None: skipped."""
+    color: Float[Array, "3 lights 1 lanes"]
+    intensity: Float[Array, "lights 1 lanes"]
+    ambient: Float[Array, "lights 1 lanes"] | None
+    """The ambient intensity; None: skipped."""
     towards: Vector | None
     """Directional lights: unit L."""
     place: Vector | None
@@ -50,13 +51,17 @@ class WorldLights(eqx.Module):
     @property
     def count(self) -> int:
         """How many lights."""
-        return self.direct.shape[-1]
+        return self.color.shape[1]
+
+    @property
+    def asks_distance(self) -> bool:
+        """Whether d_L matters, and not only the direction."""
+        return self.attenuation is not None or self.radius is not None
 
     def with_planes(self, function: Callable[[Array], Array], colors: Callable[[Array], Array]) -> WorldLights:
-        """These lights with every plane, and every table of colours [3, lights], replaced by a function of it."""
-        planes = jax.tree.map(function, dataclasses.replace(self, direct=None, ambient=None))
-        ambient = None if self.ambient is None else colors(self.ambient)
-        return dataclasses.replace(planes, direct=colors(self.direct), ambient=ambient)
+        """These lights with every plane, and the colours [3, lights, 1, lanes], replaced by a function of it."""
+        planes = jax.tree.map(function, dataclasses.replace(self, color=None))
+        return dataclasses.replace(planes, color=colors(self.color))
 
 
 class WorldFog(eqx.Module):
@@ -86,9 +91,9 @@ def lights_in_world(
 
     to_world = lights.to_world[keep].astype(dtype)
     linear = to_world[:, None, None, :, :3]
-    color = field(lights.color).T
-    direct = color * field(lights.intensity)
-    ambient = color * field(lights.ambient_intensity) if plan.ambient else None
+    color = on_lanes(field(lights.color).T, lanes)
+    intensity = on_lanes(field(lights.intensity), lanes)
+    ambient = on_lanes(field(lights.ambient_intensity), lanes) if plan.ambient else None
 
     def world_direction(values: Array) -> Vector:
         # Normalised in its own frame first: it may be of any length, and its derivative along itself is exactly 0.
@@ -101,7 +106,7 @@ def lights_in_world(
             own = unit(Vector(*(a[-1] for a in planes(lights.direction))))[0]
             aimed = -transform(camera_to_world.astype(dtype), own)
             towards = Vector(*(a.at[-1].set(b) for a, b in zip(towards, aimed, strict=True)))
-        return WorldLights(direct, ambient, towards, *(None,) * 9)
+        return WorldLights(color, intensity, ambient, towards, *(None,) * 9)
 
     location = place = planes(lights.location)
     to_local = local_place = None
@@ -120,7 +125,8 @@ def lights_in_world(
     if plan.frame == "similarity":
         scale = unit(Vector(*(on_lanes(to_world[:, i, 0], lanes) for i in range(3))))[1]
     return WorldLights(
-        direct=direct,
+        color=color,
+        intensity=intensity,
         ambient=ambient,
         towards=None,
         place=place,
@@ -128,7 +134,7 @@ def lights_in_world(
         local_place=local_place,
         unit_length=scale,
         attenuation=coefficients,
-        radius=on_lanes(field(lights.radius), lanes) if plan.radius else None,
+        radius=lax.stop_gradient(on_lanes(field(lights.radius), lanes)) if plan.radius else None,
         axis=world_direction(lights.direction) if spot else None,
         beam_width=on_lanes(field(lights.beam_width), lanes) if spot else None,
         cut_off_angle=on_lanes(field(lights.cut_off_angle), lanes) if spot else None,
@@ -160,7 +166,7 @@ def in_chunks(lights: WorldLights, chunk: int) -> WorldLights:
         return filled.reshape(-1, chunk, *plane.shape[1:])
 
     def colors(table: Array) -> Array:
-        filled = jnp.pad(table, ((0, 0), (0, missing)))
-        return jnp.moveaxis(filled.reshape(3, -1, chunk), 1, 0)
+        filled = jnp.pad(table, ((0, 0), (0, missing), (0, 0), (0, 0)))
+        return jnp.moveaxis(filled.reshape(3, -1, chunk, *table.shape[2:]), 1, 0)
 
     return lights.with_planes(rows, colors)

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 
 MAX_TILE = 1024
 MIN_TILE = 64
+MAX_GROUP = 8
 
 
 class SampleBuffer(eqx.Module):
@@ -52,6 +53,8 @@ class SampleBuffer(eqx.Module):
     """(surface, first tile, tile after the last) in storage order."""
     count: int = eqx.field(static=True)
     tile: int = eqx.field(static=True)
+    group: int = eqx.field(static=True)
+    """So many tiles from each multiple of it on are of one surface; a power of two."""
     width: int | None = eqx.field(static=True)
     height: int | None = eqx.field(static=True)
 
@@ -153,6 +156,7 @@ class SampleBuffer(eqx.Module):
             runs=layout.runs,
             count=count,
             tile=layout.tile,
+            group=layout.group,
             width=width,
             height=height,
         )
@@ -211,6 +215,7 @@ class _Layout(NamedTuple):
     tile_surface: np.ndarray
     runs: tuple[tuple[int, int, int], ...]
     tile: int
+    group: int
 
 
 def _layout(surface: np.ndarray, tile: int | None, place: np.ndarray | None = None) -> _Layout:
@@ -220,6 +225,8 @@ def _layout(surface: np.ndarray, tile: int | None, place: np.ndarray | None = No
     if tile is None:
         tile = _tile_size(len(surface), len(rows))
     tiles = -(-counts // tile)
+    group = _group_size(tiles)
+    tiles = -(-tiles // group) * group
     last_tile = np.cumsum(tiles)
     first_tile = last_tile - tiles
     first_sample = np.cumsum(counts) - counts
@@ -232,7 +239,7 @@ def _layout(surface: np.ndarray, tile: int | None, place: np.ndarray | None = No
     slot[source[~is_padding]] = slots[~is_padding]
     in_order = bool(np.all(slot == np.arange(len(surface))))
     runs = tuple(zip(rows.tolist(), first_tile.tolist(), last_tile.tolist(), strict=True))
-    return _Layout(source, is_padding, None if in_order else slot, np.repeat(rows, tiles), runs, tile)
+    return _Layout(source, is_padding, None if in_order else slot, np.repeat(rows, tiles), runs, tile, group)
 
 
 def along_curve(position: np.ndarray) -> np.ndarray:
@@ -250,6 +257,14 @@ def _tile_size(samples: int, surfaces: int) -> int:
     """The largest power of two that wastes little on padding: MAX_TILE for images, less for few samples a surface."""
     wanted = max(MIN_TILE, min(MAX_TILE, samples // (4 * max(surfaces, 1))))
     return 1 << (wanted.bit_length() - 1)
+
+
+def _group_size(tiles: np.ndarray) -> int:
+    """The largest power of two up to MAX_GROUP to which the surfaces' tiles can be filled up at little waste."""
+    group = MAX_GROUP
+    while group > 1 and np.sum(-tiles % group) > np.sum(tiles) // 16:
+        group //= 2
+    return group
 
 
 def _rows(what: str, value: Any, columns: tuple[int, ...], count: int | None = None) -> np.ndarray:
