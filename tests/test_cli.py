@@ -394,6 +394,8 @@ import os, signal, sys, time
 import jaxlight
 from jaxlight.cli import main
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of a shell start with it ignored
+
 def long_work(*args, **options):
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(10)
@@ -414,6 +416,7 @@ import os, signal, sys
 from jaxlight.cli import main
 from jaxlight.fit.record import RunLog
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of a shell start with it ignored
 write = RunLog.write
 
 def interrupting(log, event, **content):

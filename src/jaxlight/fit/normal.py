@@ -125,11 +125,10 @@ def _equations(problem: Problem, values: Float[Array, " parameters"], columns: C
 
     def products(residual: Array, planes: Array) -> tuple[Array, Array, Array]:
         weight = reweight(*problem.rho, residual)
-        weighted = planes if weight is None else planes * weight[:, None]
-        channels = range(residual.shape[0])
-        slope = jnp.stack([_dot(weighted[c], residual[c]) for c in channels])
-        square = jnp.stack([_dot(weighted[c], planes[c].T) for c in channels])
-        return half_loss(*problem.rho, residual), slope, square
+        heard = planes if weight is None else planes * weight[:, None]
+        both = jnp.concatenate([planes, residual[:, None]], axis=1)
+        product = jnp.einsum("cip,cjp->cij", heard, both, precision="highest")
+        return half_loss(*problem.rho, residual), product[:, :, -1], product[:, :, :-1]
 
     def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
         if view.pixel is not None:

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from ..lighting.registers import wide_jit
 from . import normal
 from .problem import Problem
 from .solver import BoundedLevenbergMarquardt, SolverState, default_tolerance
@@ -57,14 +58,14 @@ def make_solver(problem: Problem, *, rtol: float | None = None, atol: float | No
     )
 
 
-@eqx.filter_jit
+@wide_jit
 def begin(problem: Problem, solver: BoundedLevenbergMarquardt, start: Any = None) -> FitState:
     """The state before the first step, at `start` or at the problem's own start values."""
     values = problem.parameters.start if start is None else jnp.asarray(start, problem.parameters.start.dtype)
     return FitState(values, solver.init(residual_function, values, problem, _OPTIONS, None, None, frozenset()))
 
 
-@eqx.filter_jit
+@wide_jit
 def advance(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState) -> FitState:
     """One evaluation: the first evaluates the start; each later one tries a step and takes or refuses it."""
     values, inner, _ = solver.step(residual_function, state.values, problem, _OPTIONS, state.solver, frozenset())

@@ -14,6 +14,7 @@ from ..scene import Scene
 from .options import LightingOptions
 from .plan import Plan, make_plan
 from .prepared import compute_dtype, prepare
+from .registers import WIDE
 from .tiles import colors_of_run, surface_runs, tiles_at_once
 
 
@@ -66,9 +67,7 @@ def _tiles_of(scene: Scene, samples: SampleBuffer, plan: Plan) -> Array:
 
 
 _shade_tiles = jax.jit(_tiles_of, static_argnames="plan")
-# Twice as fast where the processor has 512-bit registers, which XLA otherwise leaves half empty; JAX takes such
-# options only where no other transformation is at work.
-_shade_tiles_wide = jax.jit(_tiles_of, static_argnames="plan", compiler_options={"xla_cpu_prefer_vector_width": 512})
+_shade_tiles_wide = jax.jit(_tiles_of, static_argnames="plan", compiler_options=WIDE)
 
 
 def _runs_alone_on_cpu(scene: Scene, samples: SampleBuffer) -> bool:
