@@ -140,6 +140,18 @@ def test_numbers_at_a_bound_are_told_and_taken_as_known() -> None:
     assert f"{DIFFUSE}.r lies on its upper bound" in found.messages()
 
 
+def test_a_number_at_the_end_of_an_endless_range_is_not_called_hardly_seen() -> None:
+    """The picture is brighter than the light without falloff: attenuation[1] is held at 0, and known."""
+    path = "PointLight[key].attenuation[1]"
+    with precision("float64") as dtype:
+        picture = sphere_picture(SIZE, key_light(intensity=1.0, attenuation=(1.0, 0.0, 0.0)), noise=0.001)
+        view = View(sphere_samples(SIZE, dtype=dtype), picture)
+        result = fit(sphere_scene(key_light(intensity=0.9, attenuation=(1.0, 0.1, 0.0)), dtype=dtype), view, [path])
+    assert result.uncertainty.at_bound == ((path, "lower"),)
+    assert result.uncertainty.standard_error[0] == 0
+    assert result.uncertainty.hardly_seen == ()
+
+
 def test_what_is_hardly_seen_and_hardly_told_apart_is_said() -> None:
     far = key_light(location=(300.0, 400.0, 1200.0), radius=1e6)
     with precision("float64") as dtype:

@@ -106,7 +106,7 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
     traded = np.max(np.abs(seen.null), axis=0, initial=0) > 1e-4
     error = np.where(seen.unseen | traded, np.inf, np.sqrt(np.maximum(np.diagonal(covariance), 0)))
     span = np.where(np.isfinite(upper - lower), upper - lower, np.abs(found))
-    hardly = np.isfinite(error) & (error >= span / 2)
+    hardly = np.isfinite(error) & (error > 0) & (error >= span / 2)
     partners = [
         Partner(block.path, answers[start : start + block.size], texels[start : start + block.size])
         for block, start in zip(problem.parameters.blocks, _offsets(problem), strict=True)
