@@ -12,7 +12,8 @@ import pytest
 
 from jaxlight import Scene, nodes
 from jaxlight.lighting import culling, make_plan, shade
-from jaxlight.raster import SampleBuffer
+from jaxlight.raster import SampleBuffer, rasterize
+from jaxlight.raster.samples import LANES, MANY_LIGHTS
 
 LIGHTS = 300
 
@@ -79,10 +80,10 @@ def test_culling_changes_no_value_and_no_derivative(kind: str, radius: float, mo
 
 
 def test_more_lights_than_a_tile_has_room_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beyond the capacity of a tile's list all lights are computed: slower, the same picture."""
+    """Beyond the capacity of a tile's collection all lights are computed: slower, the same picture."""
     scene, samples = many_lights("point", 0.6)
     wanted = shade(scene, samples, plan=plans(scene, samples, "point")[1])
-    monkeypatch.setattr(culling, "CAPACITY", 8)
+    monkeypatch.setattr(culling, "CAPACITIES", (4, 8))
     jax.clear_caches()
     np.testing.assert_allclose(shade(scene, samples), wanted, atol=2e-5)
     jax.clear_caches()
@@ -96,3 +97,24 @@ def test_few_lights_reach_a_tile() -> None:
     outside = np.maximum(0, np.maximum(low.T[:, None] - places, places - high.T[:, None]))
     reaching = np.sum(np.linalg.norm(outside, axis=2) <= 0.3, axis=1)
     assert reaching.max() < LIGHTS / 4
+
+
+def test_the_samples_of_a_lane_are_neighbours() -> None:
+    """And rasterising a scene of many lights stores them so."""
+    _, samples = many_lights("point", 0.3)
+    lanes = np.asarray(samples.position_planes).reshape(-1, 3, samples.tile // LANES, LANES)
+    extent = np.max(lanes.max(axis=2) - lanes.min(axis=2), axis=1)
+    assert extent.max() < 3 * 4 / 64  # two samples a lane, 4 / 64 apart
+
+    ball = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()), geometry=nodes.Sphere())
+    few, many = (
+        rasterize(Scene.from_nodes([ball, *[nodes.PointLight(radius=0.1)] * count]), width=128, height=128)
+        for count in (1, MANY_LIGHTS)
+    )
+    np.testing.assert_array_equal(np.sort(few.pixel), np.sort(many.pixel))
+
+    def spread(samples: SampleBuffer) -> float:
+        lanes = np.asarray(samples.position_planes).reshape(-1, 3, samples.tile // LANES, LANES)
+        return float(np.mean(np.linalg.norm(lanes.max(axis=2) - lanes.min(axis=2), axis=1)))
+
+    assert spread(many) < spread(few) / 2

@@ -1,8 +1,9 @@
-"""Many lights with a small reach: each tile computes only those that may reach it, exactly.
+"""Many lights with a small reach: samples are shaded with those only that may reach them, exactly.
 
-A light that reaches no sample of a tile contributes exactly 0 there, so leaving it out changes nothing. Which lights
-may reach is decided from the tile's bounds, by radius and, for spots, by cone; when more than CAPACITY do, all lights
-are computed, CHUNK at a time, and chunks of which none reaches are passed over.
+A light that does not reach a sample contributes exactly 0 to it, so leaving it out changes nothing. Each tile collects
+the lights that may reach it, by radius and, for spots, by cone; from these each lane of samples draws its own list, and
+the lanes work through their lists side by side, CHUNK entries at a time, until the longest is done. When more reach a
+tile than it can collect, all lights are computed, and chunks of which none reaches it are passed over.
 """
 
 from __future__ import annotations
@@ -12,73 +13,138 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Int
 
 from .elementary import arctangent
+from .stages import Stage
 from .terms import Geometry, Received
 from .vectors import Vector, cross, dot
 from .world import WorldLights, in_chunks
 
-CAPACITY = 256
-CHUNK = 4
+CAPACITIES = (64, 256)
+"""Lengths of a tile's collection of lights; the shorter, the quicker the lanes draw their lists from it."""
+CHUNK = 8
+
+Bounds = tuple[Vector, Vector]
+"""Lowest and highest coordinates of groups of samples; planes [groups]."""
 
 
-def received_from_near(of: Callable[[WorldLights], Received], lights: WorldLights, tile: Geometry) -> Received:
-    """The sum of `of` over the lights that reach the tile."""
-    reaches = lax.stop_gradient(may_reach(lights, tile))
+def received_from_near(
+    stage: Stage, of: Callable[[WorldLights], Received], lights: WorldLights, tile: Geometry
+) -> Received:
+    """The sum of `of` over the lights that reach the samples of a tile."""
+    whole = (Vector(*tile.low[:, None]), Vector(*tile.high[:, None]))
+    reaches = lax.stop_gradient(may_reach(lights, whole))[:, 0]
     count = jnp.sum(reaches)
-    capacity = min(CAPACITY, lights.count)
 
-    def few() -> Received:
-        _, nearest = lax.top_k(reaches.astype(jnp.float32), capacity)
-        chosen = lights.with_planes(lambda plane: plane[nearest], lambda colors: colors[:, nearest])
-        return _sum_over_chunks(of, chosen, reaches[nearest], tile)
+    def nearest(capacity: int) -> Received:
+        _, rows = lax.top_k(reaches.astype(jnp.float32), capacity)
+        chosen = lights.with_planes(lambda plane: plane[rows], lambda colors: colors[:, rows])
+        return _sum_over_lists(stage, of, chosen, reaches[rows], tile)
 
-    def all_of_them() -> Received:
-        return _sum_over_chunks(of, lights, reaches, tile)
+    def from_capacity(position: int) -> Received:
+        """The sum, if more than the capacities before this position reach the tile."""
+        if position == len(CAPACITIES):
+            return _sum_over_chunks(of, lights, reaches, tile)
+        capacity = CAPACITIES[position]
+        if lights.count <= capacity:
+            return nearest(lights.count)
+        return lax.cond(count <= capacity, lambda: nearest(capacity), lambda: from_capacity(position + 1))
 
-    if lights.count <= CAPACITY:
-        return few()
-    return lax.cond(count <= capacity, few, all_of_them)
+    return from_capacity(0)
 
 
-def may_reach(lights: WorldLights, tile: Geometry) -> Bool[Array, " lights"]:
-    """False only for lights that surely reach no sample of the tile."""
+def may_reach(lights: WorldLights, bounds: Bounds) -> Bool[Array, "lights groups"]:
+    """False only for lights that surely reach no sample within the bounds."""
     assert lights.place is not None
-    x, y, z = (component[:, 0, 0] for component in lights.place)
-    reaches = jnp.ones(x.shape, dtype=bool)
+    low, high = bounds
+    place = Vector(*(component[:, 0] for component in lights.place))
+    reaches = jnp.ones((lights.count, low.x.shape[0]), dtype=bool)
     # Rounding of the bounds, of places and of distances in the equation, generously.
-    slack = 64 * jnp.finfo(x.dtype).eps
+    slack = 64 * jnp.finfo(low.x.dtype).eps
     if lights.radius is not None and lights.to_local is None:
-        radius = lights.radius[:, 0, 0]
+        radius = lights.radius[:, 0]
         if lights.unit_length is not None:
-            radius = radius * lights.unit_length[:, 0, 0]
-        outside = [jnp.maximum(jnp.maximum(tile.low[i] - c, c - tile.high[i]), 0.0) for i, c in enumerate((x, y, z))]
-        size = jnp.max(jnp.maximum(jnp.abs(tile.low), jnp.abs(tile.high)))
-        margin = slack * (size + jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), jnp.abs(z)))
+            radius = radius * lights.unit_length[:, 0]
+        outside = [jnp.maximum(jnp.maximum(a - c, c - b), 0.0) for a, b, c in zip(low, high, place, strict=True)]
+        margin = slack * (_largest((*low, *high)) + _largest(place))
         # Compared without squares, which could overflow: the largest component is at most the distance.
-        largest = jnp.maximum(jnp.maximum(outside[0], outside[1]), outside[2])
+        largest = _largest(outside)
         distance = largest * jnp.sqrt(sum((c / jnp.where(largest > 0, largest, 1.0)) ** 2 for c in outside))
         reaches &= ~(distance > radius * (1 + slack) + margin)
     if lights.axis is not None and lights.cut_off_angle is not None:
-        reaches &= _in_cone(lights, tile)
+        axis = Vector(*(component[:, 0] for component in lights.axis))
+        reaches &= _in_cone(place, axis, lights.cut_off_angle[:, 0], bounds)
     return reaches
 
 
-def _in_cone(lights: WorldLights, tile: Geometry) -> Bool[Array, " lights"]:
-    """Whether a spot's cone may meet the sphere around the tile's bounds."""
-    assert lights.place is not None and lights.axis is not None and lights.cut_off_angle is not None
-    center, half = (tile.low + tile.high) / 2, (tile.high - tile.low) / 2
-    radius = jnp.sqrt(jnp.sum(half * half))
-    to_center = Vector(*(center[i] - c[:, 0, 0] for i, c in enumerate(lights.place)))
-    axis = Vector(*(c[:, 0, 0] for c in lights.axis))
+def _largest(components: tuple[Array, ...] | Vector | list[Array]) -> Array:
+    """The largest absolute value."""
+    return jnp.max(jnp.stack([jnp.abs(component) for component in components]), axis=0)
+
+
+def _in_cone(place: Vector, axis: Vector, cut_off_angle: Array, bounds: Bounds) -> Bool[Array, "lights groups"]:
+    """Whether a spot's cone may meet the sphere around the bounds."""
+    low, high = bounds
+    half = (high - low).scaled(jnp.asarray(0.5, low.x.dtype))
+    radius = jnp.sqrt(dot(half, half))
+    to_center = (low + half) - place
     aside = cross(axis, to_center)
     distance = jnp.sqrt(dot(to_center, to_center))
     angle = arctangent(jnp.sqrt(dot(aside, aside)), dot(axis, to_center))
     # The sphere's half angle, seen from the light, is asin(radius / distance) <= pi/2 * radius / distance.
     spread = 1.6 * radius / jnp.where(distance > 0, distance, 1.0)
-    surely_outside = (distance > radius) & (angle - spread > lights.cut_off_angle[:, 0, 0] + 1e-3)
+    surely_outside = (distance > radius) & (angle - spread > cut_off_angle + 1e-3)
     return ~surely_outside
+
+
+def _sum_over_lists(
+    stage: Stage,
+    of: Callable[[WorldLights], Received],
+    lights: WorldLights,
+    reaches: Bool[Array, " lights"],
+    tile: Geometry,
+) -> Received:
+    """The sum over the lights, each lane taking only those that may reach its samples."""
+    low = Vector(*(jnp.min(component, axis=0) for component in tile.position))
+    high = Vector(*(jnp.max(component, axis=0) for component in tile.position))
+    may = lax.stop_gradient(may_reach(lights, (low, high))) & reaches[:, None]
+    rank = _running_count(may)
+    length = rank[-1]
+
+    def entries(number: Array) -> tuple[Array, Array]:
+        """Rows of entries number * CHUNK to (number + 1) * CHUNK of the lists, [CHUNK, lanes], and whether a list is so long."""
+        entry = number * CHUNK + jnp.arange(CHUNK)
+        row = jnp.minimum(jnp.sum(rank[:, None] <= entry[:, None], axis=0), lights.count - 1)
+        return row, entry[:, None] < length
+
+    @jax.checkpoint
+    def of_entries(lights: WorldLights, row: Int[Array, "chunk lanes"], listed: Array) -> Received:
+        def listed_lights() -> WorldLights:
+            return lights.with_planes(
+                lambda plane: plane[:, 0, 0][row][:, None],
+                lambda colors: jnp.where(listed, colors[:, :, 0, 0][:, row], 0.0)[:, :, None],
+            )
+
+        return of(stage(listed_lights))
+
+    def add(total: Received, number: Array) -> tuple[Received, None]:
+        def more() -> Received:
+            return total + of_entries(lights, *entries(number))
+
+        return lax.cond(number * CHUNK < jnp.max(length), more, lambda: total), None
+
+    dark = _dark(jax.eval_shape(lambda: of_entries(lights, *entries(jnp.zeros((), jnp.int32)))))
+    return lax.scan(add, dark, jnp.arange(-(-lights.count // CHUNK)))[0]
+
+
+def _running_count(flags: Bool[Array, "lights lanes"]) -> Int[Array, "lights lanes"]:
+    """How many of the flags up to and including each light's are true."""
+    count, step = flags.astype(jnp.int32), 1
+    while step < flags.shape[0]:
+        count = count.at[step:].add(count[:-step])
+        step *= 2
+    return count
 
 
 def _sum_over_chunks(
@@ -102,7 +168,9 @@ def _sum_over_chunks(
         # Cut out only where needed: thousands of chunks are passed over.
         return lax.cond(needed[number], lambda: total + of_chunk(chunks, number), lambda: total), None
 
-    first = jax.eval_shape(of_chunk, chunks, jnp.zeros((), jnp.int32))
-    dark = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), first)
-    total, _ = lax.scan(add, dark, jnp.arange(needed.shape[0]))
-    return total
+    dark = _dark(jax.eval_shape(of_chunk, chunks, jnp.zeros((), jnp.int32)))
+    return lax.scan(add, dark, jnp.arange(needed.shape[0]))[0]
+
+
+def _dark(shapes: Received) -> Received:
+    return jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)

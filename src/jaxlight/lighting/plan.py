@@ -12,13 +12,10 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from ..raster.samples import SampleBuffer
+from ..raster.samples import MANY_LIGHTS, SampleBuffer
 from ..scene import DirectionalLights, PointLights, Scene, SpotLights
 from ..scene.scene import FrameKind
 from .options import LightingOptions
-
-MANY_LIGHTS = 32
-"""From so many lights of a kind on, each tile looks for those that reach it."""
 
 
 class LightPlan(NamedTuple):

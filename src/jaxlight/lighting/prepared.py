@@ -10,14 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..raster.samples import SampleBuffer
+from ..raster.samples import LANES, SampleBuffer
 from ..scene import Materials, Scene, Surface
 from .plan import Plan
 from .surface import MaterialRow
 from .world import WorldFog, WorldLights, fog_in_world, lights_in_world, on_lanes
-
-LANES = 64
-"""Lanes on which samples, and copies of every number, are spread (see WorldLights)."""
 
 
 class Prepared(eqx.Module):

@@ -225,7 +225,7 @@ def _reach(
 
 def _squares_in_range(place: Vector, tile: Geometry) -> Array:
     """True if the squared distance of every light to every sample of the tile is a normal number, by its bounds."""
-    places = jnp.stack([component[..., 0, 0] for component in place], axis=-1)
+    places = jnp.stack([component[:, 0] for component in place], axis=-1)
     below, above = tile.low - places, places - tile.high
     nearest = jnp.max(jnp.maximum(below, above), axis=-1)
     farthest = jnp.max(jnp.maximum(jnp.abs(places - tile.low), jnp.abs(places - tile.high)), axis=-1)

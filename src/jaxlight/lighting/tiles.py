@@ -197,7 +197,9 @@ def _light(
                 stage, some, tile, material, specular=plan.specular, specular_gate=plan.options.specular_gate
             )
 
-        light = received_from_near(of, lights, tile) if light_plan.culled else _received_from_all(of, lights, tile)
+        light = (
+            received_from_near(stage, of, lights, tile) if light_plan.culled else _received_from_all(of, lights, tile)
+        )
         total = light if total is None else total + light
     return total
 

@@ -23,8 +23,8 @@ from .vectors import Vector, transform, unit
 class WorldLights(eqx.Module):
     """Lights of one kind in world space; planes [lights, 1, lanes], to broadcast against samples [rows, lanes].
 
-    Every lane holds the same numbers. Their derivatives then add up lane by lane, which the processor does at once,
-    and the lanes are summed once at the end instead of in every tile.
+    Every lane holds the same numbers (`culling` gives each its own lights). Derivatives then add up lane by lane,
+    which the processor does at once, and the lanes are summed once at the end instead of in every tile.
     """
 
     color: Float[Array, "3 lights 1 lanes"]

@@ -11,7 +11,7 @@ from ..scene import Scene, nodes
 from .camera import Camera
 from .pattern import morton, sample_pattern
 from .placed import PlacedTriangles
-from .samples import SampleBuffer
+from .samples import MANY_LIGHTS, SampleBuffer
 from .visibility import barycentric, first_hits
 
 MAX_SIDE = 1 << 15
@@ -43,7 +43,7 @@ def rasterize(
 
     Returns:
         Samples ordered by surface, and within a surface along a Morton curve over the pixels, so that neighbours in the
-        buffer are neighbours in the picture. `pixel` counts row by row from the top left.
+        buffer are neighbours in the picture (under many lights: in space). `pixel` counts row by row from the top left.
 
     Raises:
         ValueError: a size that is not a whole number in range, a scene without geometry, a geometry with a bad index.
@@ -77,6 +77,7 @@ def rasterize(
         height=height,
         camera_to_world=camera.rotation,
         pixel_to_world=camera.pixel_to_world(width, height),
+        by_place=any(lights is not None and len(lights.names) >= MANY_LIGHTS for lights in (scene.point, scene.spot)),
         dtype=dtype,
     )
 

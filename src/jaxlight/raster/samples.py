@@ -16,6 +16,10 @@ from jaxtyping import Array, Float, Int
 MAX_TILE = 1024
 MIN_TILE = 64
 MAX_GROUP = 8
+MANY_LIGHTS = 32
+"""From so many lights of a kind on, samples are shaded with those only that reach them, and stored by place."""
+LANES = 64
+"""Columns in which a tile's samples stand; sample i of a tile is in lane i % LANES."""
 
 
 class SampleBuffer(eqx.Module):
@@ -93,8 +97,8 @@ class SampleBuffer(eqx.Module):
             camera_to_world: [3, 3], rotation from camera axes to the world.
             pixel_to_world: [3, 3], (u, v, 1) in pixels to the direction of its ray in world axes.
             tile: samples a tile, a power of two (default: chosen from N).
-            by_place: store neighbours in space in the same tile, whatever the order of the rows. Worth it for many
-                lights with a small radius, of which a tile then meets few.
+            by_place: store neighbours in space in the same tile and lane, whatever the order of the rows. Worth it for
+                many lights with a small radius, of which a lane then meets few.
             dtype: float type of the arrays (default: JAX's).
 
         Raises:
@@ -120,7 +124,7 @@ class SampleBuffer(eqx.Module):
         pixel_to_world = None if pixel_to_world is None else _vector("pixel_to_world", pixel_to_world, (3, 3))
         if tile is not None and (tile < 1 or tile & (tile - 1)):
             raise ValueError(f"SampleBuffer: tile: expected a power of two, got {tile}")
-        layout = _layout(surface, tile, along_curve(position) if by_place else None)
+        layout = _layout(surface, tile, position if by_place else None)
 
         def planes(values: np.ndarray | None) -> Any:
             """[N, components] -> [tiles, components, tile]"""
@@ -218,9 +222,9 @@ class _Layout(NamedTuple):
     group: int
 
 
-def _layout(surface: np.ndarray, tile: int | None, place: np.ndarray | None = None) -> _Layout:
-    """`place` [N]: what to order the samples of a surface by; None: as they come."""
-    order = np.argsort(surface, kind="stable") if place is None else np.lexsort((place, surface))
+def _layout(surface: np.ndarray, tile: int | None, position: np.ndarray | None = None) -> _Layout:
+    """`position` [N, 3]: neighbours in space go together; None: samples stay as they come."""
+    order = np.argsort(surface, kind="stable")
     rows, counts = np.unique(surface, return_counts=True)
     if tile is None:
         tile = _tile_size(len(surface), len(rows))
@@ -230,9 +234,17 @@ def _layout(surface: np.ndarray, tile: int | None, place: np.ndarray | None = No
     last_tile = np.cumsum(tiles)
     first_tile = last_tile - tiles
     first_sample = np.cumsum(counts) - counts
+    lanes = min(LANES, tile)
+    if position is not None:
+        for first, count in zip(first_sample, counts, strict=True):
+            mine = order[first : first + count]
+            order[first : first + count] = mine[_neighbours_together(position[mine], tile // lanes)]
     slots = np.arange(tiles.sum() * tile)
     run = np.repeat(np.arange(len(rows)), tiles * tile)
     within = slots - first_tile[run] * tile
+    if position is not None:  # lane by lane, not row by row
+        first, row, lane = within // tile * tile, within % tile // lanes, within % lanes
+        within = first + lane * (tile // lanes) + row
     source = order[first_sample[run] + np.minimum(within, counts[run] - 1)]
     is_padding = within >= counts[run]
     slot = np.empty(len(surface), dtype=np.int64)
@@ -242,15 +254,21 @@ def _layout(surface: np.ndarray, tile: int | None, place: np.ndarray | None = No
     return _Layout(source, is_padding, None if in_order else slot, np.repeat(rows, tiles), runs, tile, group)
 
 
-def along_curve(position: np.ndarray) -> np.ndarray:
-    """Places [N] of positions [N, 3] along a Morton curve through their bounds, 2^20 steps an axis."""
-    low, high = (position.min(axis=0), position.max(axis=0)) if len(position) else (np.zeros(3), np.ones(3))
-    steps = ((position - low) / np.where(high > low, high - low, 1.0) * (2**20 - 1)).astype(np.uint64)
-    place = np.zeros(len(position), dtype=np.uint64)
-    for bit in range(20):
-        for axis in range(3):
-            place |= ((steps[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
-    return place
+def _neighbours_together(position: np.ndarray, smallest: int) -> np.ndarray:
+    """An order of positions [N, 3] in which aligned runs of `smallest`, of twice as many, and so on lie close together.
+
+    Each run is halved across its longest side, as in a k-d tree.
+    """
+    count = len(position)
+    order = np.arange(count)
+    size = 1 << max(count - 1, 0).bit_length()
+    while size > smallest and count:
+        run, starts, here = np.arange(count) // size, np.arange(0, count, size), position[order]
+        extent = np.maximum.reduceat(here, starts) - np.minimum.reduceat(here, starts)
+        along = here[np.arange(count), np.argmax(extent, axis=1)[run]]
+        order = order[np.lexsort((along, run))]
+        size //= 2
+    return order
 
 
 def _tile_size(samples: int, surfaces: int) -> int:
