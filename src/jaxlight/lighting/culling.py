@@ -113,7 +113,7 @@ def _sum_over_lists(
     length = rank[-1]
 
     def entries(number: Array) -> tuple[Array, Array]:
-        """Rows of entries number * CHUNK to (number + 1) * CHUNK of the lists, [CHUNK, lanes], and whether a list is so long."""
+        """CHUNK entries of all lists, [CHUNK, lanes]: the row of the light, and whether the list is so long."""
         entry = number * CHUNK + jnp.arange(CHUNK)
         row = jnp.minimum(jnp.sum(rank[:, None] <= entry[:, None], axis=0), lights.count - 1)
         return row, entry[:, None] < length

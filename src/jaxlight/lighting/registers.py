@@ -12,6 +12,7 @@ from typing import Any, TypeVar, cast
 
 import equinox as eqx
 import jax
+from jax.core import Tracer
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -19,7 +20,7 @@ WIDE = {"xla_cpu_prefer_vector_width": 512}
 
 
 def wide_jit(function: _Function) -> _Function:
-    """`eqx.filter_jit` for the widest registers; for functions that are never called under another transformation."""
+    """`eqx.filter_jit` for the widest registers; under another transformation the function itself."""
 
     @functools.cache
     def compiled() -> Callable[..., Any]:
@@ -28,6 +29,8 @@ def wide_jit(function: _Function) -> _Function:
 
     @functools.wraps(function)
     def call(*arguments: Any) -> Any:
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(arguments)):
+            return function(*arguments)
         return compiled()(*arguments)
 
     return cast(_Function, call)
