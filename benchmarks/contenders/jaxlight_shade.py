@@ -43,7 +43,9 @@ def scene_of(work: Workload, arrays: Arrays, dtype: Any, materials: int = 1) -> 
     return Scene.from_nodes([*shapes, *lights, *([fog] if fog else [])], dtype=dtype)
 
 
-def samples_of(arrays: Arrays, dtype: Any, tile: int | None = None, materials: int = 1) -> SampleBuffer:
+def samples_of(
+    arrays: Arrays, dtype: Any, tile: int | None = None, materials: int = 1, by_place: bool = False
+) -> SampleBuffer:
     """The workload's samples; with several materials, each on a band of them."""
     count = arrays.position.shape[1]
     surface = np.arange(count) * materials // count
@@ -56,6 +58,7 @@ def samples_of(arrays: Arrays, dtype: Any, tile: int | None = None, materials: i
         surface=surface,
         dtype=dtype,
         tile=tile,
+        by_place=by_place,
     )
 
 
@@ -90,7 +93,8 @@ class JaxlightShade(Contender):
         dtype = jnp.dtype(precision)
         # Half-precision samples are shaded with single-precision fields.
         self._scene = scene_of(work, arrays, jnp.promote_types(dtype, jnp.float32), materials)
-        self._samples = samples_of(arrays, dtype, tile, materials)
+        # As `rasterize` stores samples under many small lights.
+        self._samples = samples_of(arrays, dtype, tile, materials, by_place=work.cover > 0)
         self._options = LightingOptions(**dict(lighting))
         self._skip = skip
         self._kind = work.kind
