@@ -109,19 +109,27 @@ def values(cases: Sequence[Case], precision: int = 32, *, conditioning: bool = T
     return Values(rgba, condition, distances)
 
 
-def gradients(cases: Sequence[Case], precision: int = 32, *, conditioning: bool = True) -> Iterator[Gradients]:
-    """Derivatives (with their bounds at kinks) and their conditions, chunk by chunk of cases of one shape."""
+def gradients(
+    cases: Sequence[Case], precision: int = 32, *, conditioning: bool = True, rounded_lengths: bool = True
+) -> Iterator[Gradients]:
+    """Derivatives (with their bounds at kinks) and their conditions, chunk by chunk of cases of one shape.
+
+    `rounded_lengths`: the conditions also count that the lengths of unit vectors L are rounded (see `condition`).
+    """
     order = 2 if conditioning else 1
     for index, columns in _chunks(cases, order):
-        yield _gradients_of_chunk(index, columns, order, precision)
+        yield _gradients_of_chunk(index, columns, order, precision, rounded_lengths)
 
 
-def _gradients_of_chunk(index: np.ndarray, columns: Columns, order: int, precision: int) -> Gradients:
+def _gradients_of_chunk(
+    index: np.ndarray, columns: Columns, order: int, precision: int, rounded_lengths: bool
+) -> Gradients:
     tape = FastTape(columns, order, precision)
     channels = _run(tape)
     base = _gradient(channels, columns)
     low, high = base.copy(), base.copy()
-    condition = _gradient_condition(channels, columns, base, precision) if order == 2 else None
+    ulp_of_length = float(input_ulp(1.0, precision)) if rounded_lengths else 0.0
+    condition = _gradient_condition(channels, columns, base, precision, ulp_of_length) if order == 2 else None
 
     def turned_over(names: frozenset[str]) -> np.ndarray:
         """How the derivatives change; their condition is that of the worse side."""
@@ -129,7 +137,7 @@ def _gradients_of_chunk(index: np.ndarray, columns: Columns, order: int, precisi
         channels = _run(FastTape(columns, order, precision, names, MIN_DISTANCE))
         side = _gradient(channels, columns)
         if condition is not None:
-            condition = np.maximum(condition, _gradient_condition(channels, columns, side, precision))
+            condition = np.maximum(condition, _gradient_condition(channels, columns, side, precision, ulp_of_length))
         return side - base
 
     for group in _independent_kinks(tape.kinks):
@@ -266,11 +274,11 @@ def _moved(columns: Columns, base: np.ndarray, precision: int) -> np.ndarray:
 
 
 def _gradient_condition(
-    channels: tuple[Dual, ...], columns: Columns, gradient: np.ndarray, precision: int
+    channels: tuple[Dual, ...], columns: Columns, gradient: np.ndarray, precision: int, ulp_of_length: float
 ) -> np.ndarray:
     """[n, P, 4]: how far each derivative moves, to first order, in its ulp."""
     ulps = input_ulp(columns.values, precision)
-    lengths = np.full((len(columns.template.lights), columns.count), input_ulp(1.0, precision))  # FastTape.unit_length
+    lengths = np.full((len(columns.template.lights), columns.count), ulp_of_length)  # of FastTape.unit_length
     ulps = np.concatenate([ulps, lengths])
     moved = np.zeros((len(columns.paths), 4, columns.count), dtype=WIDE)
     for c, channel in enumerate(channels):
