@@ -33,4 +33,5 @@ def wide_jit(function: _Function) -> _Function:
             return function(*arguments)
         return compiled()(*arguments)
 
+    call.compiled = compiled  # type: ignore[attr-defined]  # for those who count traces
     return cast(_Function, call)
