@@ -158,6 +158,24 @@ def test_angles_from_zero_to_pi(angle: float) -> None:
     assert ulp_apart(got, wanted) <= 2
 
 
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_axis_of_a_spot_is_a_tip_in_every_direction(precision: str, sign: float) -> None:
+    """The angle to a vector itself has derivative 0, although compiled products of its components are contracted."""
+    with jax.enable_x64(precision == "float64"):
+        drawn = np.random.default_rng(1).normal(size=(3, 4096)).astype(precision)
+        axes, _ = unit(Vector(*map(jnp.asarray, drawn)))
+        toward = axes.scaled(jnp.asarray(sign, precision))
+        total = jax.jit(lambda a, b: jnp.sum(factors.angle_between(a, b)))
+        angle = jax.jit(factors.angle_between)(axes, toward)
+        slopes = jax.grad(total, argnums=(0, 1))(axes, toward)
+        if sign > 0:
+            assert np.max(angle) <= 1.01 * np.sqrt(np.finfo(precision).tiny)
+        else:
+            np.testing.assert_array_equal(angle, np.asarray(np.pi, precision))
+        np.testing.assert_array_equal(jnp.stack([plane for slope in slopes for plane in slope]), 0.0)
+
+
 def test_the_spots_ramp_at_its_ends() -> None:
     beam, cut_off = np.float32(0.25), np.float32(0.75)
     angles = beside(0.25, 0.75)
@@ -184,6 +202,17 @@ def test_attenuation_at_a_sum_of_one() -> None:
         assert ulp_apart(got, [1 / max(mpf(1), mpf(float(c1)) + mpf(0.75))]) <= 1
         slope = jax.grad(factors.attenuation)(*map(jnp.float32, (c1, 0.25, 0.0, 3.0)))
         assert -1.0001 <= slope <= 0
+
+
+@pytest.mark.parametrize("distance", [1e18, 9e18, 1e25, 1e37])
+def test_a_faint_light_is_attenuated_over_any_distance(distance: float) -> None:
+    """The squared distance overflows or nearly does, its product with the little light that arrives does not."""
+    d, weight = np.float32(distance), np.float32(1e-9)
+    of_c3 = jax.grad(lambda c3: weight * factors.attenuation(jnp.float32(1), jnp.float32(0), c3, jnp.float32(d)))
+    slope = float(of_c3(jnp.float32(0)))
+    exact = -mpf(float(weight)) * mpf(float(d)) ** 2
+    assert np.isfinite(slope)
+    assert ulp_apart(np.float32(slope), [exact]) <= 2 if abs(exact) < 2.0**100 else slope < -(2.0**95)
 
 
 @pytest.mark.parametrize("visibility", [-1.0, 0.0, 1e-37, 1e-20, 3.0, 1e20, 1e37])

@@ -1,4 +1,4 @@
-"""jaxlight's fit: the whole of it, one evaluation of the normal equations, and loss and gradient tile by tile."""
+"""jaxlight's fit: all its steps, one evaluation of the normal equations, and loss and gradient tile by tile."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlight.fit import View, fit
+from jaxlight.fit import View
+from jaxlight.fit.fitting import run_fit
 from jaxlight.fit.normal import loss_and_gradient, normal_equations
 from jaxlight.fit.problem import make_problem
+from jaxlight.fit.run import make_solver
 
 from ..fit_problem import FREE, fit_arrays, fit_start, with_values
 from ..workload import Arrays, Workload
@@ -27,7 +29,8 @@ def path_of(name: str, row: int) -> str:
 
 
 class JaxlightFit(Contender):
-    """`fit` of the common fields; J^T J and J^T r; or loss and gradient of all fields.
+    """All steps of a `fit` of the common fields, its log of them included; J^T J and J^T r; or loss and gradient of all
+    fields. The problem is brought into arrays beforehand, as it is for the others.
 
     Args:
         work, arrays: the workload.
@@ -55,8 +58,9 @@ class JaxlightFit(Contender):
         arrays = fit_arrays(self._work)
         scene = scene_of(self._work, with_values(arrays, fit_start(arrays)), self._dtype)
         view = View(samples_of(arrays, self._dtype), arrays.target.T)
-        free = [path_of(name, 0) for name in FREE]
-        return lambda: fit(scene, view, free=free)
+        problem, description = make_problem(scene, view, [path_of(name, 0) for name in FREE])
+        solver = make_solver(problem)
+        return lambda: run_fit(problem, description, solver)
 
     def fitted(self, result: Any) -> FitResult:
         values = {name: np.asarray(result.value(path_of(name, 0))) for name in FREE}

@@ -136,7 +136,11 @@ def _equations(problem: Problem, values: Float[Array, " parameters"], columns: C
             planes = jax.lax.map(push, jnp.concatenate([columns.weighing, columns.shaping]))
             return add(carry, products(residual, jnp.swapaxes(planes, 0, 1)))
         derivatives = derivatives_by_tile(problem, view, values, columns)
-        return over_tiles(problem, view, lambda carry, tile: (add(carry, products(*derivatives(tile))), None), carry)[0]
+
+        def of_tile(carry: Any, tile: Tile) -> Any:
+            return add(carry, products(*derivatives(tile))), None
+
+        return over_tiles(problem, view, of_tile, carry, forward=True)[0]
 
     zeros = (
         jnp.zeros((), values.dtype),

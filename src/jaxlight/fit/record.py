@@ -80,6 +80,8 @@ class Record:
 
     def begin(self, problem: Problem, description: Description, state: FitState, max_steps: int) -> None:
         """Before the first step of this process."""
+        if self._log is None:
+            return
         if self._resumed is not None:
             after = self._resumed[-1].step if self._resumed else None
             self._write("resume", after_step=after, **_setting(), max_steps=max_steps)

@@ -151,9 +151,17 @@ def added_up(carry: Carry) -> tuple[Array, ...]:
 
 
 def over_tiles(
-    problem: Problem, view: ViewData, of_tile: Callable[[Carry, Tile], tuple[Carry, Any]], carry: Carry
+    problem: Problem,
+    view: ViewData,
+    of_tile: Callable[[Carry, Tile], tuple[Carry, Any]],
+    carry: Carry,
+    *,
+    forward: bool = False,
 ) -> tuple[Carry, list[Any]]:
-    """Go over the tiles of a view; gives the last carry, and per run what `of_tile` gave beside it, stacked."""
+    """Go over the tiles of a view; gives the last carry, and per run what `of_tile` gave beside it, stacked.
+
+    `forward`: residuals are differentiated in forward mode only.
+    """
     samples, outputs = view.samples, []
     for run in surface_runs(problem.world.scene.surfaces, samples):
 
@@ -162,7 +170,7 @@ def over_tiles(
                 return tile_of(plane, index, samples.tile)
 
             def residual(inputs: ViewInputs) -> Array:
-                color = tile_color(run, inputs.prepared, samples, view.plan, index)
+                color = tile_color(run, inputs.prepared, samples, view.plan, index, forward=forward)
                 background = None if view.background is None else cut(view.background)
                 rgb = inputs.exposure * composited(color.rgb, color.alpha, background)
                 return weighted_difference(rgb, cut(view.target), cut(view.root_weight), view)

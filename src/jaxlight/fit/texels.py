@@ -60,7 +60,7 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
             tables[block] = tables[block].at[index].add(rows)
             return (sums, tuple(tables)), strength
 
-        carry, strengths = over_tiles(problem, view, of_tile, carry)
+        carry, strengths = over_tiles(problem, view, of_tile, carry, forward=True)
         # [tiles, colours, tile] -> [colours, slots of the run]
         planes = [None if s is None else jnp.moveaxis(s, 1, 0).reshape(s.shape[1], -1) for s in strengths]
         return carry, planes

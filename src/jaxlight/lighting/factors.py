@@ -14,6 +14,7 @@ from .elementary import arctangent, exp, log_of_alignment, one_minus_exp, ratio,
 from .vectors import Vector, cross, dot
 
 _HUGE = {jnp.dtype("float32"): 1e37, jnp.dtype("float64"): 1e300}
+_ROOT_OF_HUGEST = {jnp.dtype("float32"): 2.0**63, jnp.dtype("float64"): 2.0**511}
 
 
 def positive_part(x: Array) -> Array:
@@ -114,8 +115,8 @@ def _attenuation_jvp(primals, tangents):
     relative = factor * d
     slope = jnp.minimum(c2 + 2.0 * c3 * d, _HUGE[factor.dtype]) * factor
     change = (active * factor) * dc1 + (active * relative) * dc2
-    squared = jnp.where(total >= 1, jnp.minimum(relative, _HUGE[factor.dtype] ** 0.5) ** 2, 0.0)
-    return factor, -(change + squared * dc3 + (active * slope) * dd)
+    held = jnp.where(total >= 1, jnp.minimum(relative, _ROOT_OF_HUGEST[factor.dtype]), 0.0)
+    return factor, -(change + held * (held * dc3) + (active * slope) * dd)
 
 
 # --- spot -------------------------------------------------------------------------------------------------------------
@@ -139,7 +140,7 @@ def angle_between(a: Vector, b: Vector) -> Array:
 
     Derivative 0 where the angle is 0 or pi.
     """
-    c = cross(a, b)
+    c = _perpendicular(a, b)
     return arctangent(jnp.sqrt(_positive(dot(c, c))), dot(a, b))
 
 
@@ -147,13 +148,19 @@ def angle_between(a: Vector, b: Vector) -> Array:
 def _angle_jvp(primals, tangents):
     """d angle = (cos angle * d sin angle - sin angle * d cos angle), with sin angle = |a x b|."""
     (a, b), (da, db) = primals, tangents
-    c = cross(a, b)
+    c = _perpendicular(a, b)
     squared = dot(c, c)
     sine = jnp.sqrt(_positive(squared))
     normal = c.scaled(jnp.where(squared > 0, 1.0 / jnp.where(squared > 0, sine, 1.0), 0.0))
     d_cosine = dot(da, b) + dot(a, db)
     d_sine = dot(normal, cross(da, b) + cross(a, db))
     return angle_between(a, b), jnp.where(squared > 0, dot(a, b) * d_sine - sine * d_cosine, 0.0)
+
+
+def _perpendicular(a: Vector, b: Vector) -> Vector:
+    """a x b of unit vectors, from their difference (or sum): exactly 0 where they are parallel, however rounded."""
+    sign = jnp.where(dot(a, b) < 0, 1.0, -1.0)
+    return cross(a, b + a.scaled(sign))
 
 
 def _positive(x: Array) -> Array:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -18,10 +19,12 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool
 
 
-class Stage(NamedTuple):
+class Stage(eqx.Module):
     """Evaluates functions behind a boundary; `always` is true, but only the running program knows."""
 
     always: Bool[Array, ""]
+    forward: bool = eqx.field(static=True, default=False)
+    """Whether derivatives are only taken in forward mode, where none are summed over samples."""
 
     def __call__(self, function: Callable[[], Any]) -> Any:
         """function(), a stage of its own."""
@@ -45,7 +48,7 @@ class Stage(NamedTuple):
             wide: positions of smaller operands whose derivatives are summed over samples in stages of their own. XLA
                 vectorises a sum only if what it adds up is a short expression.
         """
-        return _each((function, wide), self, operands, derived)
+        return _each((function, () if self.forward else wide), self, operands, derived)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))

@@ -107,10 +107,22 @@ def tile_of(plane: Array, index: Array, tile: int) -> Array:
     return lax.dynamic_slice_in_dim(plane, index * tile, tile, axis=-1)
 
 
-def tile_color(run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, index: Array, count: int = 1) -> Color:
-    """The equation on one tile, or on `count` tiles of one surface from tile `index` * `count` on."""
+def tile_color(
+    run: Run,
+    prepared: Prepared,
+    samples: SampleBuffer,
+    plan: Plan,
+    index: Array,
+    count: int = 1,
+    *,
+    forward: bool = False,
+) -> Color:
+    """The equation on one tile, or on `count` tiles of one surface from tile `index` * `count` on.
+
+    `forward`: if derivatives are taken, then in forward mode.
+    """
     dtype, tile, lanes = compute_dtype(samples), samples.tile * count, lanes_of(samples)
-    stage = Stage(index >= 0 if run.stop - run.start > count else samples.tile_surface[0] >= 0)
+    stage = Stage(index >= 0 if run.stop - run.start > count else samples.tile_surface[0] >= 0, forward)
     first = index * count
 
     def of_tiles(planes: Array) -> Array:
