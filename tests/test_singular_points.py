@@ -12,14 +12,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks.stress.judge import Block, Judged
+from benchmarks.stress.judge import Block, Judged, Precision
 from mpmath import mp, mpf
 
+import answers
 from cases_to_scenes import structure
 from jaxlight.lighting import elementary, factors
 from jaxlight.lighting.vectors import Vector, unit
 from oracle.adversarial import FAMILIES, adversarial_cases
-from oracle.case import Case
+from oracle.case import Case, Light, Material, Sample
 
 SEED = 3
 POINTS = 12
@@ -77,6 +78,35 @@ def test_derivatives(family: str) -> None:
     asked = own[~np.isnan(derivatives.relative[own])]
     worst = max(asked, key=lambda i: derivatives.relative[i], default=None)
     assert worst is None or derivatives.relative[worst] <= DERIVATIVES, cases()[worst]
+
+
+def one_light(location: tuple, eye: tuple, position: tuple, normal: tuple, shininess: float) -> Case:
+    """A sample under one white point light."""
+    return Case(
+        sample=Sample(position=position, normal=normal, eye=eye),
+        material=Material(shininess=shininess, specular_color=(0.36, 0.4, 0.23), emissive_color=(0.86, 0.86, 0.43)),
+        lights=(Light(kind="point", location=location, intensity=0.75, ambient_intensity=0.1),),
+    )
+
+
+@pytest.mark.parametrize(
+    ("precision", "offset"), [("float64", 2.0**-20), ("float64", 2.0**-18), ("float64", 2.0**-16), ("float32", 2.0**-8)]
+)
+def test_a_light_opposite_the_viewer_in_one_plane_with_the_normal(precision: Precision, offset: float) -> None:
+    """L + V nearly vanishes, but its direction is known: only a length of H that fits its rounding shows that."""
+    case = one_light((1.0, -4.0, -3.0), (3.0, -2.0, -5.0), (2.0, -3.0 - offset, -4.0), (-1.0, 0.0, 1.0), 1 / 128)
+    judged = Block([case], precision).judge_values()
+    assert judged.finite.all() and judged.relative[0] <= VALUES
+
+
+def test_the_slope_of_a_grazing_highlight() -> None:
+    """N . H is a small difference whose derivative along x is as small, and must keep its digits."""
+    case = one_light((2.0, 2.0, 0.0), (1.0, 4.0, 2.0), (3.0, 3.0, 1.0), (0.0, 1.0 - 2.0**-20, -1.0), 1e-6)
+    (exact,) = Block([case], "float64").derivatives
+    with jax.enable_x64(True):
+        computed = answers.derivatives([case], np.dtype("float64"), "reverse", chunk=1)
+    errors = exact.error_in_ulp(computed, 64) / exact.condition
+    assert errors[0, exact.paths.index(("sample", "position", 0))].max() <= 2 * DERIVATIVES
 
 
 # --- the factors by themselves ----------------------------------------------------------------------------------------

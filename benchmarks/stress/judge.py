@@ -22,7 +22,7 @@ MAX_CONDITION = {"float32": 2.0**23 / 32, "float64": 2.0**52 / 32}
 """Of a derivative: beyond, 16 ulp times the condition is more than half of it, and first order says nothing."""
 
 LARGEST = {"float32": 2.0**100, "float64": 2.0**1000}
-"""Derivative that is asked for; of larger ones, only that they are finite."""
+"""Derivatives of the colour by an input that are asked for; of larger ones, only that they are finite."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,14 @@ class Block:
         ulp = exact.error_in_ulp(computed, BITS[self.precision])
         asked = (exact.differentiable & self.exact.well_conditioned[exact.index])[:, None, None]
         largest = np.maximum(np.abs(exact.low), np.abs(exact.high))
-        asked = asked & (exact.condition <= MAX_CONDITION[self.precision]) & (largest <= LARGEST[self.precision])
+        in_range = largest.max(axis=2, keepdims=True) <= LARGEST[self.precision]
+        asked = asked & (exact.condition <= MAX_CONDITION[self.precision]) & in_range
+        info = np.finfo(self.dtype)
+        least = float(info.tiny) / float(info.eps)
+        with np.errstate(invalid="ignore"):
+            off = np.maximum(exact.low - computed, computed - exact.high) / least
+        # Smaller ones may lose their digits to underflow on the way, but not become larger ones.
+        ulp = np.where((largest < least) & np.isfinite(computed), np.maximum(off, 0), ulp)
         ulp = np.where(asked, ulp, np.nan)
         relative = ulp / exact.condition
         judged.ulp[exact.index] = _worst(ulp.reshape(len(ulp), -1))

@@ -189,9 +189,10 @@ class _StepLines:
             self.begun = True
         left = "" if math.isnan(step.seconds_left) else f"{step.seconds_left:.2f}"
         refused = "" if step.accepted else "  refused"
+        part = "" if step.part == 1 else f"  {100 * step.part:.3g} % of the samples"
         print(
             f"{step.step:5d} {step.loss:12.6g} {step.rms:12.6g} {step.gradient:10.2e} {step.step_norm:10.2e} "
-            f"{step.damping:9.1e} {step.seconds:8.2f} {left:>8}{refused}",
+            f"{step.damping:9.1e} {step.seconds:8.2f} {left:>8}{refused}{part}",
             file=sys.stderr,
             flush=True,
         )

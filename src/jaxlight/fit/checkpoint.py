@@ -28,7 +28,7 @@ from .run import FitState, begin
 from .solver import BoundedLevenbergMarquardt
 from .steps import Step
 
-FORMAT = 1
+FORMAT = 2
 """Changes whenever older checkpoints cannot be carried on with."""
 MAX_STEPS = 1_000_000
 """Steps that a checkpoint may list."""

@@ -24,7 +24,7 @@ from .minimisers import minimise
 from .problem import Description, Problem, make_problem
 from .record import Record
 from .residuals import LossKind
-from .run import FitState, advance, begin, finished, make_solver
+from .run import FitState, advance, begin, carried_on, make_solver
 from .solver import BoundedLevenbergMarquardt
 from .starts import explore, random_starts
 from .steps import Step, describe_step
@@ -75,8 +75,8 @@ class Fit:
 
     @property
     def accepted_steps(self) -> int:
-        """Steps that lowered the loss; the evaluation of the start is none."""
-        return sum(step.accepted for step in self.history[1:])
+        """Steps that lowered the loss; the evaluation of a start is none."""
+        return self.state.accepted
 
     def value(self, path: str) -> np.ndarray:
         """The fitted value of one free field, by its canonical path; of a whole texture its colours.
@@ -132,6 +132,9 @@ def fit(
 ) -> Fit:
     """Fit the free fields of a scene to one or many views by bounded Levenberg-Marquardt.
 
+    Fits of some ten thousand samples and more begin with one tile of samples in so many, and go on with all of them
+    from where these lead, or from the start if all of them disagree.
+
     Args:
         scene: start values of the free fields, and the values of all others.
         views: the pictures, each with its samples.
@@ -181,7 +184,7 @@ def fit(
     if state is None and starts > 1:
         drawn = random_starts(problem, description.fields, starts, seed)
         try:
-            state = begin(problem, solver, explore(problem, solver, drawn).best)
+            state = begin(problem, solver, explore(problem, solver, drawn).best, description.part.every)
         except KeyboardInterrupt:
             return make_fit(problem, description, begin(problem, solver), [], interrupted=True)
     record = Record(log, kept, seconds=checkpoint_seconds, resumed=history)
@@ -232,12 +235,11 @@ def run_fit(
     steps = list(history)
     began = time.monotonic() - (steps[-1].seconds if steps else 0.0)
     interrupted = False
-    state = begin(problem, solver) if state is None else state
+    state = begin(problem, solver, every=description.part.every) if state is None else state
     try:
         record.begin(problem, description, state, max_steps)
-        # The start's evaluation comes on top: max_steps counts trials.
-        while not finished(state) and int(state.solver.num_steps) <= max_steps:
-            new_state = advance(problem, solver, state)
+        while (following := carried_on(problem, solver, state, steps, max_steps)) is not None:
+            new_state = advance(problem, solver, following)
             step = describe_step(problem, description, new_state, time.monotonic() - began, steps, max_steps)
             state, steps = new_state, [*steps, step]
             record.step(step, state, steps, problem.parameters.few)
@@ -265,10 +267,8 @@ def make_fit(
     """The result for a state, finished or not."""
     outcome = _outcome(state, interrupted)
     world = _world_at(problem, state.values)
-    evaluated = not bool(state.solver.first_step)
-    value = float(state.solver.loss) if evaluated else math.nan
+    value = history[-1].loss if history else math.nan
     rms = step_rms(value, description.residuals)
-    accepted, tried = int(state.solver.num_accepted_steps), max(int(state.solver.num_steps) - 1, 0)
     return Fit(
         scene=dataclasses.replace(world.scene, document=description.document),
         exposure=np.asarray(world.exposure),
@@ -277,7 +277,7 @@ def make_fit(
         loss=value,
         rms=rms,
         outcome=outcome,
-        message=_message(outcome, accepted, tried, rms, at_kink=bool(state.solver.at_kink)),
+        message=_message(outcome, state, history, rms),
         history=tuple(history),
         problem=problem,
         description=description,
@@ -300,11 +300,14 @@ def _outcome(state: FitState, interrupted: bool) -> Outcome:
     return "interrupted" if interrupted else "max_steps"
 
 
-def _message(outcome: Outcome, accepted: int, tried: int, rms: float, *, at_kink: bool) -> str:
-    trials = f"{accepted} steps ({tried} tried)"
+def _message(outcome: Outcome, state: FitState, history: Sequence[Step], rms: float) -> str:
+    trials = f"{state.accepted} steps ({state.tried} tried)"
+    coarse = sum(step.part < 1 for step in history)
+    if coarse > 1:
+        trials += f", the first {coarse - 1} with {100 * history[0].part:.3g} % of the samples"
     if math.isnan(rms) and outcome == "interrupted":
         return "Interrupted before the start values were evaluated; they are unchanged."
-    if outcome == "converged" and at_kink:
+    if outcome == "converged" and bool(state.solver.at_kink):
         return (
             f"Converged in {trials} to a kink of the equation (samples where a light sets), within a tenth of a "
             f"standard error of the optimum; residual RMS {rms:.3g}."

@@ -9,6 +9,8 @@ where rho(s) = s for squares. Gaussian priors add (x - mean)^2 / 2 variance.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -31,6 +33,7 @@ from .streaming import (
     over_tiles,
     over_views,
     split_inputs,
+    sum_over_tiles,
     view_inputs,
 )
 from .texels import neighbour_loss, texel_equations
@@ -38,7 +41,12 @@ from .views import ViewData
 
 
 def loss(problem: Problem, values: Float[Array, " parameters"]) -> Float[Array, ""]:
-    """Half the sum of squares (or of the robust loss) at these values, priors included."""
+    """Half the sum of squares (or of the robust loss) at these values, of all samples, priors included."""
+    return _loss(problem, values, lambda view, of_tile, carry: _over_all(problem, view, of_tile, carry))
+
+
+def _loss(problem: Problem, values: Array, sum_of: Callable[[ViewData, Callable[..., Any], Any], Any]) -> Array:
+    """The loss of the tiles of each view over which `sum_of` sums."""
 
     def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
         if view.pixel is not None:
@@ -46,12 +54,16 @@ def loss(problem: Problem, values: Float[Array, " parameters"]) -> Float[Array, 
         inputs = view_inputs(problem, view, values)
 
         def of_tile(carry: Any, tile: Tile) -> Any:
-            return add(carry, (half_loss(*problem.rho, jax.checkpoint(tile.residual)(inputs)),)), None
+            return add(carry, (half_loss(*problem.rho, jax.checkpoint(tile.residual)(inputs)),))
 
-        return over_tiles(problem, view, of_tile, carry)[0]
+        return sum_of(view, of_tile, carry)
 
     (total,) = over_views(problem, of_view, (jnp.zeros((), values.dtype),))
     return total + _prior_loss(problem, values)
+
+
+def _over_all(problem: Problem, view: ViewData, of_tile: Callable[[Any, Tile], Any], carry: Any) -> Any:
+    return over_tiles(problem, view, lambda carry, tile: (of_tile(carry, tile), None), carry)[0]
 
 
 def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> tuple[Array, Array]:
@@ -75,10 +87,10 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
                 return half_loss(*problem.rho, tile.residual(eqx.combine(tree.unflatten(leaves), fixed)))
 
             value, slopes = jax.value_and_grad(of_moving)(leaves)
-            return add_terms(carry, (value, *slopes)), None
+            return add_terms(carry, (value, *slopes))
 
         zeros = (jnp.zeros((), values.dtype), *map(jnp.zeros_like, leaves))
-        value, *slopes = added_up(over_tiles(problem, view, of_tile, (zeros, jax.tree.map(jnp.zeros_like, zeros)))[0])
+        value, *slopes = added_up(_over_all(problem, view, of_tile, (zeros, jax.tree.map(jnp.zeros_like, zeros))))
         return add(carry, (value, *pull(tree.unflatten(slopes))))
 
     def points_loss(view: ViewData, values: Array) -> Array:
@@ -90,7 +102,7 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
 
 
 def normal_equations(problem: Problem, values: Float[Array, " parameters"]) -> NormalEquations:
-    """Loss, gradient and Gauss-Newton matrix at these values."""
+    """Loss, gradient and Gauss-Newton matrix at these values, of the samples that `problem.every` chooses."""
     if problem.parameters.blocks:
         return texel_equations(problem, values)
     return _equations(problem, values, problem.columns)
@@ -101,11 +113,12 @@ def settled(
 ) -> tuple[Float[Array, " parameters"], Float[Array, ""]]:
     """The values with the numbers that are linear together at their best (variable projection), and the loss there.
 
-    Where residuals are not linear (robust losses, sensor limits) or texels are eliminated anyway, the values stay.
+    Of the samples that `problem.every` chooses. Where residuals are not linear (robust losses, sensor limits) or texels
+    are eliminated anyway, the values stay.
     """
     columns, parameters = problem.columns.linear(), problem.parameters
     if not problem.settles or columns.count == 0:
-        return values, loss(problem, values)
+        return values, _loss(problem, values, partial(sum_over_tiles, problem))
     here, gradient, curvature = _equations(problem, values, columns)
     moves = jnp.any(columns.own > 0, axis=(0, 1))
     lower, upper = (jnp.where(moves, bound - values, 0) for bound in (parameters.lower, parameters.upper))
@@ -138,9 +151,9 @@ def _equations(problem: Problem, values: Float[Array, " parameters"], columns: C
         derivatives = derivatives_by_tile(problem, view, values, columns)
 
         def of_tile(carry: Any, tile: Tile) -> Any:
-            return add(carry, products(*derivatives(tile))), None
+            return add(carry, products(*derivatives(tile)))
 
-        return over_tiles(problem, view, of_tile, carry, forward=True)[0]
+        return sum_over_tiles(problem, view, of_tile, carry, forward=True)
 
     zeros = (
         jnp.zeros((), values.dtype),

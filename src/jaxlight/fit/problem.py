@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..lighting import LightingOptions, make_plan
 from ..lighting.shade import check_samples
@@ -20,6 +20,7 @@ from ..scene.scene import Scene
 from .columns import Columns, columns_of
 from .free import free_parameters
 from .parameters import FreeField, Parameters, World
+from .part import WHOLE, Part, choose_part
 from .residuals import LossKind
 from .sampling import TexelSampling, texel_sampling
 from .strides import UNLIMITED, Strides, stride_of
@@ -38,6 +39,8 @@ class Problem(eqx.Module):
     """Which texels of whole free textures each stack of views sees; empty if there are none."""
     views: tuple[ViewData, ...]
     """Views of the same structure are stacked along a leading axis."""
+    every: Int[Array, ""]
+    """One tile in so many is evaluated (`part.Part`); 1: all."""
     count: Float[Array, ""]
     """Number of residuals that count (weight > 0)."""
     loss_scale: Float[Array, ""]
@@ -67,6 +70,8 @@ class Description(NamedTuple):
     """Number of residuals that count (weight > 0)."""
     noise_known: bool
     """True when every view states its noise."""
+    part: Part
+    """What of the samples the fit begins with."""
     document: Any
     """The document of the scene, which the problem does without."""
 
@@ -114,6 +119,7 @@ def make_problem(
         strides=_strides(scene, parameters, fields, each, dtype),
         sampling=texel_sampling(stacks, scene.surfaces, parameters.blocks),
         views=stacks,
+        every=jnp.ones((), jnp.int32),
         count=jnp.asarray(count, dtype=dtype),
         loss_scale=jnp.asarray(1.0 if loss_scale is None else loss_scale, dtype=dtype),
         loss_kind=loss,
@@ -122,7 +128,8 @@ def make_problem(
         and all(view.saturated is None and view.dark is None for view in each),
     )
     noise_known = all(view.noise is not None for view in each)
-    return problem, Description(fields, labels, names, count, noise_known, scene.document)
+    part = WHOLE if parameters.blocks else choose_part(data, scene.surfaces)
+    return problem, Description(fields, labels, names, count, noise_known, part, scene.document)
 
 
 def _planned(world: World, parameters: Parameters, view: ViewData, options: LightingOptions | None) -> ViewData:

@@ -249,10 +249,10 @@ def _steps_table(history: Sequence[Step]) -> str:
     rows = "".join(
         f"<tr><td>{step.step}</td><td>{'taken' if step.accepted else 'refused'}</td><td>{step.loss:.6g}</td>"
         f"<td>{step.rms:.6g}</td><td>{step.gradient:.2e}</td><td>{step.step_norm:.2e}</td>"
-        f"<td>{step.damping:.1e}</td><td>{step.seconds:.2f}</td></tr>"
+        f"<td>{step.damping:.1e}</td><td>{100 * step.part:.3g} %</td><td>{step.seconds:.2f}</td></tr>"
         for step in history
     )
-    heads = ("step", "", "loss", "residual RMS", "gradient", "step / tolerance", "damping", "seconds")
+    heads = ("step", "", "loss", "residual RMS", "gradient", "step / tolerance", "damping", "samples", "seconds")
     unfolded = " open" if len(history) <= UNFOLDED else ""
     return f"<details{unfolded}><summary>Every step</summary><table>{_heads(heads)}{rows}</table></details>"
 

@@ -1,22 +1,29 @@
-"""A fit step by step: `begin`, `advance`, `finished`, on a state that is arrays only.
+"""A fit step by step: `begin`, `advance`, `carried_on`, on a state that is arrays only.
 
 Whatever drives a fit (a plain loop, a progress bar, a run with checkpoints) drives these three; saving `FitState`
 after any step and carrying on from it gives the same numbers as never having stopped.
+
+A fit of many samples first goes to the optimum of a part of them (`carried_on`). What the part says is believed only
+if all samples agree: a part can miss what few samples see, such as a small highlight. Otherwise the fit begins again at
+its start, with all of them.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..lighting.registers import wide_jit
 from . import normal
 from .problem import Problem
 from .solver import BoundedLevenbergMarquardt, SolverState, default_tolerance
+from .steps import Step
 
 
 class FitState(eqx.Module):
@@ -24,6 +31,29 @@ class FitState(eqx.Module):
 
     values: Float[Array, " parameters"]
     solver: SolverState
+    every: Int[Array, ""]
+    """One tile in so many is evaluated."""
+    origin: Float[Array, " parameters"]
+    """Where the fit began."""
+    earlier: Int[Array, "3"]
+    """Steps accepted, steps tried and evaluations before the last time that the solver began."""
+    over: Bool[Array, ""]
+    """Whether the solver has converged or failed."""
+
+    @property
+    def accepted(self) -> int:
+        """Steps that lowered the loss; the evaluation of a start is none."""
+        return int(self.earlier[0]) + int(self.solver.num_accepted_steps)
+
+    @property
+    def tried(self) -> int:
+        """Steps that were tried."""
+        return int(self.earlier[1]) + max(int(self.solver.num_steps) - 1, 0)
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations so far, those of starts included."""
+        return int(self.earlier[2]) + int(self.solver.num_steps)
 
 
 def residual_function(values: Array, problem: Problem) -> tuple[Any, None]:
@@ -58,23 +88,61 @@ def make_solver(problem: Problem, *, rtol: float | None = None, atol: float | No
     )
 
 
-@wide_jit
-def begin(problem: Problem, solver: BoundedLevenbergMarquardt, start: Any = None) -> FitState:
-    """The state before the first step, at `start` or at the problem's own start values."""
+def begin(problem: Problem, solver: BoundedLevenbergMarquardt, start: Any = None, every: int = 1) -> FitState:
+    """The state before the first step, at `start` or at the problem's own start values, with one tile in `every`."""
     values = problem.parameters.start if start is None else jnp.asarray(start, problem.parameters.start.dtype)
-    return FitState(values, solver.init(residual_function, values, problem, _OPTIONS, None, None, frozenset()))
+    return FitState(
+        values=values,
+        solver=_initialised(problem, solver, values),
+        every=jnp.asarray(every, jnp.int32),
+        origin=values,
+        earlier=jnp.zeros(3, jnp.int32),
+        over=jnp.array(False),
+    )
+
+
+@wide_jit
+def _initialised(problem: Problem, solver: BoundedLevenbergMarquardt, values: Array) -> SolverState:
+    return solver.init(residual_function, values, problem, _OPTIONS, None, None, frozenset())
 
 
 @wide_jit
 def advance(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState) -> FitState:
     """One evaluation: the first evaluates the start; each later one tries a step and takes or refuses it."""
-    values, inner, _ = solver.step(residual_function, state.values, problem, _OPTIONS, state.solver, frozenset())
-    return FitState(values, inner)
+    part = eqx.tree_at(lambda problem: problem.every, problem, state.every)
+    values, inner, _ = solver.step(residual_function, state.values, part, _OPTIONS, state.solver, frozenset())
+    over = inner.terminate | (inner.result != optx.RESULTS.successful)
+    return dataclasses.replace(state, values=values, solver=inner, over=over)
 
 
-def finished(state: FitState) -> bool:
-    """True when the solver has converged or failed."""
-    return bool(state.solver.terminate) or not bool(state.solver.result == optx.RESULTS.successful)
+def carried_on(
+    problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState, history: Sequence[Step], max_steps: int
+) -> FitState | None:
+    """The state to be evaluated next, after the steps of `history`; None: the fit is over."""
+    if bool(state.solver.first_step):
+        return state
+    out_of_steps = state.tried >= max_steps
+    if int(state.every) > 1:
+        if bool(state.over) or out_of_steps or state.tried >= _MOST_OF_PART:
+            return _begun_with_all(problem, solver, state, state.values)
+        return state
+    if len(history) > 1 and history[-2].part < 1 and _disagree(history[-1], history[-2], history[0]):
+        return _begun_with_all(problem, solver, state, state.origin)
+    return None if bool(state.over) or out_of_steps else state
+
+
+def _begun_with_all(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState, start: Array) -> FitState:
+    earlier = jnp.asarray([state.accepted, state.tried, state.evaluations], jnp.int32)
+    return dataclasses.replace(begin(problem, solver, start), origin=state.origin, earlier=earlier)
+
+
+_MOST_OF_PART = 30
+"""Trials on a part; one that needs more is no short cut."""
+
+
+def _disagree(of_all: Step, of_part: Step, start: Step) -> bool:
+    """Whether all samples are explained much worse than the part was, as far as that matters at the start."""
+    return not of_all.loss <= 4 * of_part.loss + 1e-6 * start.loss
 
 
 @eqx.filter_jit

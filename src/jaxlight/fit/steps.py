@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .problem import Description, Problem
-from .run import FitState
 
 _LOOK_BACK = 4
 """Accepted steps from which the rate of convergence is read."""
@@ -20,9 +19,11 @@ class Step(NamedTuple):
 
     step: int
     """0 is the evaluation of the start."""
+    part: float
+    """Share of the residuals that was evaluated: less than 1 while the fit is coarse."""
     accepted: bool
     loss: float
-    """At the best values so far."""
+    """At the best values so far; from a part, scaled up to all residuals."""
     rms: float
     """Root mean square of the weighted residuals that this loss means."""
     gradient: float
@@ -39,7 +40,7 @@ class Step(NamedTuple):
 def describe_step(
     problem: Problem,
     description: Description,
-    state: FitState,
+    state: Any,
     seconds: float,
     history: Sequence[Step] = (),
     max_steps: int | None = None,
@@ -47,7 +48,8 @@ def describe_step(
     """What the last evaluation did, on the host.
 
     Args:
-        problem, description, state: the fit.
+        problem, description: the fit.
+        state: its `FitState`.
         seconds: since it began.
         history: the steps before this one, for the time left.
         max_steps: after which the fit ends anyway.
@@ -59,9 +61,11 @@ def describe_step(
         (values >= np.asarray(parameters.upper)) & (slope < 0)
     )
     gradient = np.where(held, 0, np.abs(slope)) / np.where(norms > 0, norms, 1)
-    value = float(inner.loss)
+    part = description.part.share if int(state.every) > 1 else 1.0
+    value = float(inner.loss) / part
     step = Step(
-        step=int(inner.num_steps) - 1,
+        step=state.evaluations - 1,
+        part=part,
         accepted=bool(inner.accepted),
         loss=value,
         rms=rms(value, description.residuals),
@@ -82,6 +86,9 @@ def rms(loss: float, count: int) -> float:
 def _seconds_left(steps: Sequence[Step], max_steps: int | None) -> float:
     """From the geometric rate of the last accepted steps; a fit that is not getting closer may need all its steps."""
     now = steps[-1]
+    steps = [step for step in steps if step.part == now.part]
+    if now.part < 1:
+        return math.nan
     if now.step_norm < 1:
         return 0.0
     recent = [one.seconds for one in steps[1:]][-_LOOK_BACK - 1 :]  # the first evaluation compiles

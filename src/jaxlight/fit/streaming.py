@@ -17,6 +17,7 @@ from ..lighting.prepared import Prepared, prepare
 from ..lighting.stages import Stage
 from ..lighting.tiles import Run, surface_runs, tile_color, tile_of
 from .columns import Columns
+from .part import tiles_of_part
 from .problem import Problem, scene_of_view
 from .residuals import composited, weighted_difference
 from .views import ViewData
@@ -150,6 +151,23 @@ def added_up(carry: Carry) -> tuple[Array, ...]:
     return tuple(a + b for a, b in zip(*carry, strict=True))
 
 
+def sum_over_tiles(
+    problem: Problem, view: ViewData, of_tile: Callable[[Carry, Tile], Carry], carry: Carry, *, forward: bool = False
+) -> Carry:
+    """Go over the tiles of a view that `problem.every` chooses; gives the last carry. Not differentiable in reverse.
+
+    `forward`: residuals are differentiated in forward mode only.
+    """
+    for run in surface_runs(problem.world.scene.surfaces, view.samples):
+        first, count = tiles_of_part(run, problem.every)
+
+        def step(number: Array, carry: Carry, run: Run = run, first: Array = first) -> Carry:
+            return of_tile(carry, _tile(view, run, first + number * problem.every, forward))
+
+        carry = jax.lax.fori_loop(0, count, step, carry)
+    return carry
+
+
 def over_tiles(
     problem: Problem,
     view: ViewData,
@@ -158,28 +176,34 @@ def over_tiles(
     *,
     forward: bool = False,
 ) -> tuple[Carry, list[Any]]:
-    """Go over the tiles of a view; gives the last carry, and per run what `of_tile` gave beside it, stacked.
+    """Go over all tiles of a view; gives the last carry, and per run what `of_tile` gave beside it, stacked.
 
     `forward`: residuals are differentiated in forward mode only.
     """
-    samples, outputs = view.samples, []
-    for run in surface_runs(problem.world.scene.surfaces, samples):
+    outputs = []
+    for run in surface_runs(problem.world.scene.surfaces, view.samples):
 
         def step(carry: Carry, index: Array, run: Run = run) -> tuple[Carry, Any]:
-            def cut(plane: Array) -> Array:
-                return tile_of(plane, index, samples.tile)
-
-            def residual(inputs: ViewInputs) -> Array:
-                color = tile_color(run, inputs.prepared, samples, view.plan, index, forward=forward)
-                background = None if view.background is None else cut(view.background)
-                rgb = inputs.exposure * composited(color.rgb, color.alpha, background)
-                return weighted_difference(rgb, cut(view.target), cut(view.root_weight), view)
-
-            return of_tile(carry, Tile(residual, run, index, view))
+            return of_tile(carry, _tile(view, run, index, forward))
 
         carry, output = jax.lax.scan(step, carry, jnp.arange(run.start, run.stop))
         outputs.append(output)
     return carry, outputs
+
+
+def _tile(view: ViewData, run: Run, index: Array, forward: bool) -> Tile:
+    samples = view.samples
+
+    def cut(plane: Array) -> Array:
+        return tile_of(plane, index, samples.tile)
+
+    def residual(inputs: ViewInputs) -> Array:
+        color = tile_color(run, inputs.prepared, samples, view.plan, index, forward=forward)
+        background = None if view.background is None else cut(view.background)
+        rgb = inputs.exposure * composited(color.rgb, color.alpha, background)
+        return weighted_difference(rgb, cut(view.target), cut(view.root_weight), view)
+
+    return Tile(residual, run, index, view)
 
 
 def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:

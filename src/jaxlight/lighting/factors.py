@@ -45,14 +45,15 @@ def alignment(n: Vector, h: Vector, inverse: Array) -> Array:
 def _alignment_jvp(primals, tangents):
     """d(n . h / |h|) = (n - H (n . H)) . dh / |h| + H . dn. The change of `inverse` is part of that.
 
-    n - H (n . H) is taken as D - H (D . H) with D = n - H: near the peak rounded lengths of n and H would otherwise
+    Near the peak n - H (n . H) is taken as D - H (D . H) with D = n - H: rounded lengths of n and H would otherwise
     leave a part along H, as large as the angle between them.
     """
     (n, h, inverse), (dn, dh, _) = primals, tangents
     value = alignment(n, h, inverse)
     towards = h.scaled(inverse)
-    difference = n - towards
-    across = difference - towards.scaled(dot(difference, towards))
+    near = jnp.where(value <= 0, 1.0, 0.0)
+    base = n - towards.scaled(near)
+    across = base - towards.scaled(dot(base, towards))
     change = dot(across.scaled(inverse), dh) + dot(towards, dn)
     return value, jnp.where(value == AWAY, 0.0, change)
 

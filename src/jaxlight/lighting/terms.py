@@ -131,16 +131,12 @@ def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, specular: bool) -
 
     The vectors to the lights are never stored: three planes cost more to keep than to compute anew from 1 / d_L.
     """
-    place, position, inverse, half = lights.place, tile.position, None, None
+    place, position, inverse = lights.place, tile.position, None
     if place is not None:
         inverse = lax.cond(
             _squares_in_range(place, tile),
             lambda: inverse_length_in_range(place - position),
             lambda: inverse_length(place - position),
-        )
-    if specular:
-        half = stage(
-            lambda: inverse_length_in_range(_light_vector(lights.towards, place, position, inverse)[0] + tile.to_viewer)
         )
     return stage.each(
         partial(_seen, lights.asks_distance and lights.to_local is None),
@@ -150,7 +146,7 @@ def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, specular: bool) -
         tile.normal,
         tile.to_viewer if specular else None,
         lights.axis,
-        derived=(inverse, half),
+        derived=(inverse,),
         wide=(0, 1, 2, 3, 4, 5),
     )
 
@@ -175,15 +171,14 @@ def _seen(
     to_viewer: Vector | None,
     axis: Vector | None,
     inverse: Array | None,
-    half: Array | None,
 ) -> Aspect:
-    """`inverse`: 1 / d_L; `half`: 1 / |L + V|."""
+    """`inverse`: 1 / d_L."""
     l, distance = _light_vector(towards, place, position, inverse)
+    half = None if to_viewer is None else half_vector(l, to_viewer)
     return Aspect(
         facing=dot(normal, l),
-        alignment=None
-        if half is None or to_viewer is None
-        else factors.alignment(normal, half_vector(l, to_viewer), half),
+        # 1 / |H| here, and not in a stage before: near L = -V another rounding of L has another length of H.
+        alignment=None if half is None else factors.alignment(normal, half, inverse_length_in_range(half)),
         distance=distance if asks_distance else None,
         angle=None if axis is None else factors.angle_between(-l, axis),
     )

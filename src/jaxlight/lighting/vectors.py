@@ -63,10 +63,9 @@ def normalised(v: Vector, inverse: Array) -> tuple[Vector, Array]:
 
 @normalised.defjvp
 def _normalised_jvp(primals, tangents):
-    """d|v| = u . dv;  du = u x (dv / |v| x u). The change of `inverse` is part of that.
+    """d|v| = u . dv;  du = dv / |v| - u (u . dv) / |v|. The change of `inverse` is part of that.
 
     Divided first, and so last in reverse mode: 1 / |v| may be 1e-37, and a product with it lost before the difference.
-    With cross products, because dv - u (u . dv) has no digits left along an axis that u almost points along.
     """
     (v, inverse), (dv, _) = primals, tangents
     u, length = _normalised_once(v, inverse)
@@ -87,7 +86,20 @@ def _normalised_once_jvp(primals, tangents):
 
 
 def _turned(u: Vector, dv: Vector, inverse: Array) -> tuple[Vector, Array]:
-    return cross(u, cross(dv.scaled(inverse), u)), dot(u, dv)
+    """The part of dv / |v| at right angles to u, and u . dv.
+
+    Component x is dv.x (u.y^2 + u.z^2) - u.x (u.y dv.y + u.z dv.z): dv - u (u . dv) has no digits left along an axis
+    that u almost points along, and u x (dv x u) none along an axis at right angles to a dv that is so to u too.
+    """
+    turn = dv.scaled(inverse)
+    square = Vector(u.x * u.x, u.y * u.y, u.z * u.z)
+    along = Vector(u.x * turn.x, u.y * turn.y, u.z * turn.z)
+    across = Vector(
+        turn.x * (square.y + square.z) - u.x * (along.y + along.z),
+        turn.y * (square.z + square.x) - u.y * (along.z + along.x),
+        turn.z * (square.x + square.y) - u.z * (along.x + along.y),
+    )
+    return across, dot(u, dv)
 
 
 @jax.custom_jvp
@@ -126,7 +138,7 @@ def inverse_length_in_range(v: Vector) -> Array:
 
 def _inverse_root(v: Vector) -> Array:
     squared = dot(v, v)
-    is_zero = squared == 0
+    is_zero = squared < jnp.finfo(squared.dtype).tiny
     return jnp.where(is_zero, 0.0, reciprocal_root(jnp.where(is_zero, 1.0, squared)))
 
 

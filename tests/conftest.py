@@ -1,0 +1,29 @@
+"""What all tests share: compiled programs are let go before a long run has too many of them."""
+
+from __future__ import annotations
+
+import gc
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import pytest
+
+MAPS = Path("/proc/self/maps")
+MOST_MAPS = 30_000
+"""Linux allows a process 65 530 pieces of memory; every compiled program holds some, and LLVM aborts without."""
+EVERY = 8
+_numbers = itertools.count()
+
+
+@pytest.fixture(autouse=True)
+def let_go_of_programs() -> Iterator[None]:
+    """After every few tests, look whether there are too many programs."""
+    yield
+    if next(_numbers) % EVERY == 0 and MAPS.exists():
+        with MAPS.open("rb") as lines:
+            many = sum(1 for _ in lines) > MOST_MAPS
+        if many:
+            jax.clear_caches()
+            gc.collect()
