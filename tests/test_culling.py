@@ -99,6 +99,19 @@ def test_few_lights_reach_a_tile() -> None:
     assert reaching.max() < LIGHTS / 4
 
 
+@pytest.mark.parametrize("count", [1, 31, 32, 33, 64, 250])
+@pytest.mark.parametrize("share", [0.0, 0.03, 0.4, 1.0])
+def test_lists_name_the_lights_whose_flags_are_set(count: int, share: float) -> None:
+    flags = np.random.default_rng(count).random((count, LANES)) < share
+    words = culling._packed(jnp.asarray(flags))
+    for first in range(0, count, culling.CHUNK):
+        entry = first + np.arange(culling.CHUNK)
+        rows = np.asarray(culling._place_of_flag(words, jnp.asarray(entry)[:, None]))
+        for lane in range(LANES):
+            listed = np.flatnonzero(flags[:, lane])[first : first + culling.CHUNK]
+            np.testing.assert_array_equal(rows[: len(listed), lane], listed)
+
+
 def test_the_samples_of_a_lane_are_neighbours() -> None:
     """And rasterising a scene of many lights stores them so."""
     _, samples = many_lights("point", 0.3)

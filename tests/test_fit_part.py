@@ -46,6 +46,14 @@ def test_few_samples_are_all_evaluated() -> None:
     assert {step.part for step in result.history} == {1.0}
 
 
+@pytest.mark.usefixtures("small_parts")
+def test_many_short_runs_are_all_evaluated() -> None:
+    """A part has a tile of every run at least; where that is most of them, it is none."""
+    small = sphere_samples(8, dtype=np.float32, tile=64)
+    views = [View(small, sphere_picture(8))] * 40
+    assert make_problem(start(np.float32), views, FREE)[1].part == part.WHOLE
+
+
 @pytest.mark.parametrize("every", [1, 4, 7, 1000])
 def test_a_part_takes_tiles_from_every_run(every: int) -> None:
     samples = sphere_samples(SIZE, tile=TILE)

@@ -37,7 +37,8 @@ def tiles_of_part(run: Run, every: Any) -> tuple[Any, Any]:
 
 
 def choose_part(views: Sequence[ViewData], surfaces: tuple[Surface, ...]) -> Part:
-    """The part for these views: all of it where there are few tiles, or where samples are gathered into pixels."""
+    """The part for these views: all of it where there are few tiles, many short runs of them, or pixels that gather
+    several samples."""
     runs = [(view, run) for view in views for run in surface_runs(surfaces, view.samples)]
     tiles = sum(run.stop - run.start for _, run in runs)
     slots = sum((run.stop - run.start) * view.samples.tile for view, run in runs)
@@ -52,4 +53,4 @@ def choose_part(views: Sequence[ViewData], surfaces: tuple[Surface, ...]) -> Par
         first, _ = tiles_of_part(run, every)
         chosen += np.count_nonzero(heard[:, int(first) - run.start :: every])
         total += np.count_nonzero(heard)
-    return Part(every, chosen / total) if chosen else WHOLE
+    return Part(every, chosen / total) if 0 < chosen <= total / 2 else WHOLE

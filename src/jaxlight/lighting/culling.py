@@ -13,7 +13,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Int, UInt32
 
 from .elementary import arctangent
 from .stages import Stage
@@ -24,6 +24,8 @@ from .world import WorldLights, in_chunks
 CAPACITIES = (64, 256)
 """Lengths of a tile's collection of lights; the shorter, the quicker the lanes draw their lists from it."""
 CHUNK = 8
+GROUP = 4
+"""Chunks that are passed over together where no list is so long."""
 
 Bounds = tuple[Vector, Vector]
 """Lowest and highest coordinates of groups of samples; planes [groups]."""
@@ -35,12 +37,13 @@ def received_from_near(
     """The sum of `of` over the lights that reach the samples of a tile."""
     whole = (Vector(*tile.low[:, None]), Vector(*tile.high[:, None]))
     reaches = lax.stop_gradient(may_reach(lights, whole))[:, 0]
-    count = jnp.sum(reaches)
+    rank = _running_count(reaches)
+    count = rank[-1]
 
     def nearest(capacity: int) -> Received:
-        _, rows = lax.top_k(reaches.astype(jnp.float32), capacity)
+        rows = jnp.minimum(jnp.searchsorted(rank, jnp.arange(1, capacity + 1)), lights.count - 1)
         chosen = lights.with_planes(lambda plane: plane[rows], lambda colors: colors[:, rows])
-        return _sum_over_lists(stage, of, chosen, reaches[rows], tile)
+        return _sum_over_lists(stage, of, chosen, jnp.arange(capacity) < count, tile)
 
     def from_capacity(position: int) -> Received:
         """The sum, if more than the capacities before this position reach the tile."""
@@ -109,14 +112,14 @@ def _sum_over_lists(
     low = Vector(*(jnp.min(component, axis=0) for component in tile.position))
     high = Vector(*(jnp.max(component, axis=0) for component in tile.position))
     may = lax.stop_gradient(may_reach(lights, (low, high))) & reaches[:, None]
-    rank = _running_count(may)
-    length = rank[-1]
+    words = _packed(may)
+    length = jnp.sum(lax.population_count(words).astype(jnp.int32), axis=0)
+    longest = jnp.max(length)
 
     def entries(number: Array) -> tuple[Array, Array]:
         """CHUNK entries of all lists, [CHUNK, lanes]: the row of the light, and whether the list is so long."""
-        entry = number * CHUNK + jnp.arange(CHUNK)
-        row = jnp.minimum(jnp.sum(rank[:, None] <= entry[:, None], axis=0), lights.count - 1)
-        return row, entry[:, None] < length
+        entry = (number * CHUNK + jnp.arange(CHUNK))[:, None]
+        return jnp.minimum(_place_of_flag(words, entry), lights.count - 1), entry < length
 
     @jax.checkpoint
     def of_entries(lights: WorldLights, row: Int[Array, "chunk lanes"], listed: Array) -> Received:
@@ -132,13 +135,45 @@ def _sum_over_lists(
         def more() -> Received:
             return total + of_entries(lights, *entries(number))
 
-        return lax.cond(number * CHUNK < jnp.max(length), more, lambda: total), None
+        return lax.cond(number * CHUNK < longest, more, lambda: total), None
+
+    def add_group(total: Received, first: Array) -> tuple[Received, None]:
+        def more() -> Received:
+            return lax.scan(add, total, first + jnp.arange(GROUP))[0]
+
+        return lax.cond(first * CHUNK < longest, more, lambda: total), None
 
     dark = _dark(jax.eval_shape(lambda: of_entries(lights, *entries(jnp.zeros((), jnp.int32)))))
-    return lax.scan(add, dark, jnp.arange(-(-lights.count // CHUNK)))[0]
+    return lax.scan(add_group, dark, jnp.arange(0, -(-lights.count // CHUNK), GROUP))[0]
 
 
-def _running_count(flags: Bool[Array, "lights lanes"]) -> Int[Array, "lights lanes"]:
+def _packed(flags: Bool[Array, "lights lanes"]) -> UInt32[Array, "words lanes"]:
+    """32 flags a word, the first in the lowest bit."""
+    filled = jnp.pad(flags, ((0, -flags.shape[0] % 32), (0, 0)))
+    bits = filled.reshape(-1, 32, flags.shape[1]).astype(jnp.uint32)
+    return jnp.sum(bits << jnp.arange(32, dtype=jnp.uint32)[:, None], axis=1, dtype=jnp.uint32)
+
+
+def _place_of_flag(words: UInt32[Array, "words lanes"], number: Int[Array, "chunk 1"]) -> Int[Array, "chunk lanes"]:
+    """Where the flags number 0, 1, ... of each lane are; beyond the last, anywhere."""
+    left = jnp.broadcast_to(number, (number.shape[0], words.shape[1]))
+    word, place = jnp.zeros(left.shape, jnp.uint32), jnp.zeros_like(left)
+    for i, own in enumerate(words):
+        count = lax.population_count(own).astype(jnp.int32)
+        here = (left >= 0) & (left < count)
+        word, place = jnp.where(here, own, word), jnp.where(here, 32 * i + left, place)
+        left = left - count  # negative from the word on that holds it
+    left, place = place % 32, place - place % 32
+    for half in (16, 8, 4, 2, 1):
+        low = word & jnp.uint32((1 << half) - 1)
+        count = lax.population_count(low).astype(jnp.int32)
+        above = left >= count
+        word = jnp.where(above, word >> half, low)
+        left, place = jnp.where(above, left - count, left), jnp.where(above, place + half, place)
+    return place
+
+
+def _running_count(flags: Bool[Array, "lights ..."]) -> Int[Array, "lights ..."]:
     """How many of the flags up to and including each light's are true."""
     count, step = flags.astype(jnp.int32), 1
     while step < flags.shape[0]:
