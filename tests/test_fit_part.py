@@ -86,6 +86,26 @@ def test_the_part_leads_to_the_same_optimum(kind: str) -> None:
 
 
 @pytest.mark.usefixtures("small_parts")
+@pytest.mark.parametrize(
+    ("kind", "size", "tile", "begun"),
+    [("float64", 64, 32, "with a part"), ("float64", 128, 128, "with all"), ("float32", 256, 1024, "with all")],
+)
+def test_what_only_rounding_is_left_of_has_converged(kind: str, size: int, tile: int, begun: str) -> None:
+    """Where nothing shines the exponent has no meaning, and would wander for ever between sums of rounding errors."""
+    dull = material(specular_color=(0.0, 0.0, 0.0))
+    body = material(diffuse_color=(0.5,) * 3, specular_color=(0.2,) * 3, shininess=0.1)
+    with precision(kind) as dtype:
+        scene = sphere_scene(key_light(location=(0.8, 1.2, 2.5)), body=body, dtype=dtype)
+        own = View(sphere_samples(size, dtype=dtype, tile=tile), sphere_picture(size, body=dull))
+        problem, description = make_problem(scene, own, FREE)
+        if begun == "with all":
+            description = description._replace(part=part.WHOLE)
+        result = run_fit(problem, description, make_solver(problem))
+        assert result.converged and result.state.tried <= 8
+        assert np.abs(result.value("Material[body].specular_color")).max() < 1e-6
+
+
+@pytest.mark.usefixtures("small_parts")
 def test_a_part_that_misses_the_highlight_is_not_believed() -> None:
     """All that the part sees is explained without a highlight; the rest of the picture is not."""
     with precision("float64") as dtype:

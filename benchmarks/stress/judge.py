@@ -52,7 +52,7 @@ class Block:
     def derivatives(self) -> list[fast_exact.Gradients]:
         """Exact derivatives, chunk by chunk."""
         if self._derivatives is None:
-            found = fast_exact.gradients(self.cases, BITS[self.precision])
+            found = fast_exact.gradients(self.cases, BITS[self.precision], rounded_lengths=False)
             self._derivatives = [_through_inverse(one, [self.cases[i] for i in one.index], self.dtype) for one in found]
         return self._derivatives
 

@@ -43,6 +43,8 @@ class Problem(eqx.Module):
     """One tile in so many is evaluated (`part.Part`); 1: all."""
     count: Float[Array, ""]
     """Number of residuals that count (weight > 0)."""
+    signal: Float[Array, ""]
+    """Half the sum of squares of the weighted targets: the loss of a black picture."""
     loss_scale: Float[Array, ""]
     """Residual at which a robust loss turns from squares to tolerance."""
     loss_kind: LossKind = eqx.field(static=True)
@@ -121,6 +123,7 @@ def make_problem(
         views=stacks,
         every=jnp.ones((), jnp.int32),
         count=jnp.asarray(count, dtype=dtype),
+        signal=jnp.asarray(sum(_signal(one) for one in data), dtype=dtype),
         loss_scale=jnp.asarray(1.0 if loss_scale is None else loss_scale, dtype=dtype),
         loss_kind=loss,
         settles=loss == "squares"
@@ -130,6 +133,11 @@ def make_problem(
     noise_known = all(view.noise is not None for view in each)
     part = WHOLE if parameters.blocks else choose_part(data, scene.surfaces)
     return problem, Description(fields, labels, names, count, noise_known, part, scene.document)
+
+
+def _signal(view: ViewData) -> float:
+    weighted = np.asarray(view.root_weight) * np.asarray(view.target)
+    return float(np.sum(weighted * weighted, dtype=np.float64)) / 2
 
 
 def _planned(world: World, parameters: Parameters, view: ViewData, options: LightingOptions | None) -> ViewData:

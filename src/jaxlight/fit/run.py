@@ -85,6 +85,7 @@ def make_solver(problem: Problem, *, rtol: float | None = None, atol: float | No
         strides=problem.strides,
         sampling=problem.sampling,
         freedom=jnp.maximum(problem.count - parameters.start.shape[0], 1),
+        floor=jnp.finfo(dtype).eps ** 2 * problem.signal,
     )
 
 

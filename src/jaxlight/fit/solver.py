@@ -72,7 +72,8 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     crawls is not taken for one that has arrived. A sum of residuals that are not 0 often has its optimum on a kink (a
     sample on the line where N . L = 0), where no slope vanishes: there the solver is done when even the shortest steps
     lead upwards and the whole step left is a small part of the standard error that `freedom` (residuals less
-    parameters) implies; without `freedom` this test is off.
+    parameters) implies; without `freedom` this test is off. And at a loss of `floor` or less, which is all rounding, it
+    is done as soon as the loss stops falling.
 
     Takes the `options` `normal_equations(y, args) -> (loss, gradient, curvature)` and `settled(y, args) -> (y, loss)`,
     which may move the numbers in which the residuals are linear to their best. Each trial is settled before it is
@@ -86,6 +87,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     search: GainRatio
 
     freedom: Array
+    floor: Array
 
     def __init__(
         self,
@@ -96,11 +98,13 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         *,
         strides: Strides | None = None,
         freedom: Any = 0,
+        floor: Any = 0,
         sampling: Any = (),
     ) -> None:
         # Arrays, so that a changed tolerance compiles nothing anew.
         self.rtol, self.atol = jnp.asarray(rtol), jnp.asarray(atol)
         self.freedom = jnp.asarray(freedom, self.rtol.dtype)
+        self.floor = jnp.asarray(floor, self.rtol.dtype)
         self.norm = optx.max_norm
         lower, upper = jnp.asarray(lower), jnp.asarray(upper)
         strides = Strides.none(lower.shape[0], lower.dtype) if strides is None else strides
@@ -168,8 +172,11 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         near = (self.freedom > 0) & (offset_squared < KINK_OFFSET**2)
         at_kink = ~accept & (step_size < 1 / KINK_DAMPING) & near & ~converged
         finite = jnp.isfinite(loss) & descent_state.all_finite()
+        falls = accept & (loss < state.loss / 4)
+        only_rounding = ~falls & ~state.first_step & (loss <= self.floor)
+        ended = converged | at_kink | only_rounding
         stuck = step_size < 1 / MAX_DAMPING
-        result = optx.RESULTS.where(stuck & ~converged & ~at_kink, optx.RESULTS.nonlinear_divergence, result)
+        result = optx.RESULTS.where(stuck & ~ended, optx.RESULTS.nonlinear_divergence, result)
         result = optx.RESULTS.where(finite, result, optx.RESULTS.nonfinite)
         move, descent_result = self.descent.step(step_size, descent_state)
         result = optx.RESULTS.where(result == optx.RESULTS.successful, descent_result, result)
@@ -186,7 +193,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             # The evaluation of the start is no step.
             num_accepted_steps=state.num_accepted_steps + (accept & ~state.first_step),
             at_kink=at_kink,
-            terminate=(((accept | (achievable <= 4 * eps * loss)) & converged) | at_kink) & finite,
+            terminate=(((accept | (achievable <= 4 * eps * loss)) & converged) | at_kink | only_rounding) & finite,
             result=result,
         )
         return y, new_state, None
