@@ -46,13 +46,26 @@ def values(cases: Sequence[Case], dtype: Any, chunk: int = CHUNK) -> np.ndarray:
 
 def derivatives(cases: Sequence[Case], dtype: Any, mode: Mode = "reverse", chunk: int = CHUNK) -> list[np.ndarray]:
     """Of every case the derivatives of colour and alpha by its P inputs, float64 [P, 4], as `oracle.float_paths`."""
+    return derivatives_with_rounding(cases, dtype, mode, chunk)[0]
+
+
+def derivatives_with_rounding(
+    cases: Sequence[Case], dtype: Any, mode: Mode = "reverse", chunk: int = CHUNK
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """`derivatives`, and by how much those by frames may be off because of how they are had, [P, 4] too.
+
+    jaxlight holds a frame and its inverse M, and gives the derivatives F and G by both; that by the frame is
+    F - M^T G M^T, in which terms cancel. Each number of F and G is allowed one ulp.
+    """
     out: list[np.ndarray] = [np.zeros((0, 4))] * len(cases)
+    rounding = out.copy()
     for group in groups(cases, chunk):
         scene, samples = inputs(group, dtype, chunk)
-        found = by_path(stacked(mode, scene, samples, group.plan), group, scene)
-        for i, derivative in zip(group.index, found, strict=True):
-            out[i] = derivative
-    return out
+        found = stacked(mode, scene, samples, group.plan)
+        both = by_path(found, group, scene), np.finfo(dtype).eps * by_path(found, group, scene, sizes=True)
+        for i, derivative, size in zip(group.index, *both, strict=True):
+            out[i], rounding[i] = derivative, size
+    return out, rounding
 
 
 def groups(cases: Sequence[Case], chunk: int = CHUNK) -> Iterator[Group]:
@@ -162,26 +175,31 @@ def mapped(function: Callable[[Scene, SampleBuffer], Any], scene: Scene, samples
     return jax.vmap(of_one, in_axes=(0, 0, None, None))(scene, samples, first, surface[0])
 
 
-def by_path(derivatives: tuple[Scene, SampleBuffer], group: Group, scene: Scene) -> np.ndarray:
-    """Derivatives as float64 [cases, P, 4], in the order of the group's paths."""
+def by_path(derivatives: tuple[Scene, SampleBuffer], group: Group, scene: Scene, *, sizes: bool = False) -> np.ndarray:
+    """Derivatives as float64 [cases, P, 4], in the order of the group's paths.
+
+    `sizes`: instead, of those by frames the sizes of what is added up, and 0 of all others.
+    """
     count = len(group.cases)
     of_scene, of_samples = jax.tree.map(lambda leaf: np.asarray(leaf, dtype=np.float64)[:count], derivatives)
     rows = light_rows(group.cases[0])
 
     def column(path: Path) -> np.ndarray:
+        if sizes and "frame" not in path:
+            return np.zeros((count, 4))
         match path:
             case ("material", name, *k):
                 return getattr(of_scene.materials, name)[(..., 0, *k)]
             case ("lights", i, "frame", r, c):
                 kind, row = rows[i]
-                return _by_frame(getattr(of_scene, kind), getattr(scene, kind), row, count)[..., r, c]
+                return _by_frame(getattr(of_scene, kind), getattr(scene, kind), row, count, sizes)[..., r, c]
             case ("lights", i, name, *k):
                 kind, row = rows[i]
                 return getattr(getattr(of_scene, kind), name)[(..., row, *k)]
             case ("fog", "frame", r, c):
                 if c == 3:
                     return np.zeros((count, 4))
-                return _through_inverse(of_scene.fog.to_local, scene.fog.to_local[:count])[..., r, c]
+                return _through_inverse(of_scene.fog.to_local, scene.fog.to_local[:count], sizes)[..., r, c]
             case ("fog", name, *k):
                 return getattr(of_scene.fog, name)[(..., *k)]
             case ("sample", "eye", k):
@@ -205,15 +223,18 @@ def light_rows(case: Case) -> dict[int, tuple[str, int]]:
     return rows
 
 
-def _by_frame(derivative: Any, lights: Any, row: int, count: int) -> np.ndarray:
-    """The derivative by a light's frame [cases, 4, 3, 4], from those by `to_world` and by its inverse."""
+def _by_frame(derivative: Any, lights: Any, row: int, count: int, sizes: bool) -> np.ndarray:
+    """The derivative by a light's frame [cases, 4, 3, 4], from those by `to_world` and by its inverse; or its sizes."""
     whole = derivative.to_world[..., row, :, :].copy()
+    whole = np.abs(whole) if sizes else whole
     if hasattr(derivative, "to_local"):
-        whole[..., :3] += _through_inverse(derivative.to_local[..., row, :, :], lights.to_local[:count, row])
+        whole[..., :3] += _through_inverse(derivative.to_local[..., row, :, :], lights.to_local[:count, row], sizes)
     return whole
 
 
-def _through_inverse(by_inverse: np.ndarray, inverse: Any) -> np.ndarray:
-    """The derivative by a matrix, from that by its inverse M: -M^T G M^T."""
+def _through_inverse(by_inverse: np.ndarray, inverse: Any, sizes: bool) -> np.ndarray:
+    """The derivative by a matrix, from that by its inverse M: -M^T G M^T; or the sizes of its terms, added up."""
     transposed = np.swapaxes(np.asarray(inverse, dtype=np.float64)[:, None], -1, -2)
+    if sizes:
+        return np.abs(transposed) @ np.abs(by_inverse) @ np.abs(transposed)
     return -transposed @ by_inverse @ transposed

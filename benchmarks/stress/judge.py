@@ -13,7 +13,7 @@ import numpy as np
 import answers
 from oracle import fast_exact
 from oracle.case import Case
-from oracle.paths import Path
+from oracle.paths import Path, float_paths, get
 from oracle.ulp import error_in_ulp, output_ulp
 
 Precision = Literal["float32", "float64"]
@@ -52,8 +52,7 @@ class Block:
     def derivatives(self) -> list[fast_exact.Gradients]:
         """Exact derivatives, chunk by chunk."""
         if self._derivatives is None:
-            found = fast_exact.gradients(self.cases, BITS[self.precision], rounded_lengths=False)
-            self._derivatives = [_through_inverse(one, [self.cases[i] for i in one.index], self.dtype) for one in found]
+            self._derivatives = list(fast_exact.gradients(self.cases, BITS[self.precision]))
         return self._derivatives
 
     def judge_values(self) -> Judged:
@@ -74,12 +73,13 @@ class Block:
         """The derivatives by every input, in one mode."""
         count = len(self.cases)
         with jax.enable_x64(self.precision == "float64"):
-            computed = answers.derivatives(self.cases, self.dtype, mode)
+            computed, rounding = answers.derivatives_with_rounding(self.cases, self.dtype, mode)
         judged = Judged(np.full(count, np.nan), np.full(count, np.nan), np.ones(count, dtype=bool), {})
         for exact in self.derivatives:
             own = np.array([computed[i] for i in exact.index])
             judged.finite[exact.index] = np.isfinite(own).all(axis=(1, 2))
-            self._compare(own, exact, judged)
+            room = exact.rounding + np.array([rounding[i] for i in exact.index])
+            self._compare(own, dataclasses.replace(exact, rounding=room), judged)
         return judged
 
     def judge_second(self, count: int) -> Judged:
@@ -109,7 +109,9 @@ class Block:
     def _compare(self, computed: np.ndarray, exact: fast_exact.Gradients, judged: Judged) -> None:
         assert exact.condition is not None
         ulp = exact.error_in_ulp(computed, BITS[self.precision])
-        asked = (exact.differentiable & self.exact.well_conditioned[exact.index])[:, None, None]
+        # Only values tell what an input that is flushed to zero changes.
+        whole = np.array([not _has_subnormals(self.cases[i], self.dtype) for i in exact.index])
+        asked = (exact.differentiable & self.exact.well_conditioned[exact.index] & whole)[:, None, None]
         largest = np.maximum(np.abs(exact.low), np.abs(exact.high))
         in_range = largest.max(axis=2, keepdims=True) <= LARGEST[self.precision]
         asked = asked & (exact.condition <= MAX_CONDITION[self.precision]) & in_range
@@ -129,22 +131,10 @@ class Block:
             judged.by_field[field(path)] = np.concatenate([known, errors[~np.isnan(errors)]])
 
 
-def _through_inverse(exact: fast_exact.Gradients, cases: Sequence[Case], dtype: Any) -> fast_exact.Gradients:
-    """With room for how derivatives by a fog's frame are had: jaxlight holds the inverse M, and gives G by that.
-
-    They are -M^T G M^T, in which terms cancel; each number of G is allowed one ulp.
-    """
-    if ("fog", "frame", 0, 0) not in exact.paths:
-        return exact
-    places = np.array([[exact.paths.index(("fog", "frame", r, c)) for c in range(3)] for r in range(3)])
-    frames = np.array([case.fog.frame for case in cases if case.fog is not None])[:, None, :, :3]
-    forth = np.swapaxes(frames, -1, -2)
-    back = np.abs(np.swapaxes(np.linalg.inv(frames), -1, -2))
-    derivative = np.moveaxis(exact.low[:, places].astype(np.float64), -1, 1)
-    room = np.finfo(dtype).eps * (back @ np.abs(forth @ derivative @ forth) @ back)
-    rounding = exact.rounding.copy()
-    rounding[:, places] += np.moveaxis(room, 1, -1)
-    return dataclasses.replace(exact, rounding=rounding)
+def _has_subnormals(case: Case, dtype: np.dtype) -> bool:
+    """Whether an input is so small that processors may flush it to zero."""
+    tiny = float(np.finfo(dtype).tiny)
+    return any(0 < abs(get(case, path)) < tiny for path in float_paths(case))
 
 
 def _over_components(size: np.ndarray, paths: Sequence[Path]) -> np.ndarray:
