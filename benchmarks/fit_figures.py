@@ -15,6 +15,7 @@ import numpy as np
 import tyro
 
 from jaxlight.fit import Fit, Free, View, fit
+from jaxlight.fit.fitting import run_fit
 from jaxlight.fit.problem import Description, Problem, make_problem
 from jaxlight.fit.run import advance, begin, make_solver, solve
 from jaxlight.fit.uncertainty import uncertainty
@@ -214,12 +215,13 @@ def starts(options: Options) -> str:
             towards = random.normal(size=(count, 3))
             towards[:, 2] = np.abs(towards[:, 2])
             drawn[:, 5:8] = towards * random.uniform(2, 6, (count, 1)) / np.linalg.norm(towards, axis=1, keepdims=True)
-            problem, _ = make_problem(*one.problem({}, FREE), FREE)
+            problem, description = make_problem(*one.problem({}, FREE), FREE)
             solver, reached = make_solver(problem), []
             for start in drawn:
-                end = solve(problem, solver, jnp.asarray(start, problem.parameters.start.dtype), 100)
-                error = np.max(np.abs(np.asarray(end.value) / truth - 1))
-                reached.append((error < (1e-4 if precision == "float32" else 1e-6), int(end.state.num_accepted_steps)))
+                state = begin(problem, solver, start, description.part.every)
+                end = run_fit(problem, description, solver, state=state)
+                error = np.max(np.abs(end.values / truth - 1))
+                reached.append((error < (1e-4 if precision == "float32" else 1e-6), end.accepted_steps))
             good = [taken for there, taken in reached if there]
         share = f"{len(good)} of {count} ({100 * len(good) / count:.0f} %)"
         rows.append([precision, share, int(np.median(good)), max(good)])
