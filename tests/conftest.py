@@ -1,4 +1,4 @@
-"""What all tests share: compiled programs are let go before a long run has too many of them."""
+"""For all tests: none leaves its precision behind, and compiled programs are let go before they are too many."""
 
 from __future__ import annotations
 
@@ -15,6 +15,14 @@ MOST_MAPS = 30_000
 """Linux allows a process 65 530 pieces of memory; every compiled program holds some, and LLVM aborts without."""
 EVERY = 8
 _numbers = itertools.count()
+
+
+@pytest.fixture(autouse=True)
+def own_precision() -> Iterator[None]:
+    """The command line, called in this process, switches double precision on for good."""
+    before = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+    yield
+    jax.config.update("jax_enable_x64", before)
 
 
 @pytest.fixture(autouse=True)
