@@ -31,7 +31,7 @@ def _level(label: str, *, x64: bool = False, color_limit: float = 2e-5, **option
 LEVELS = (
     _level("float64", x64=True, precision="float64"),
     _level(DEFAULT),
-    _level("float32 fast", color_limit=1e-3, lighting=(("precision", "fast"),)),
+    _level("float32 fast", color_limit=1e-3, lighting=(("accuracy", "fast"),)),
     _level("bfloat16 samples", color_limit=1.0, precision="bfloat16"),
     _level("float16 samples", color_limit=1.0, precision="float16"),
 )

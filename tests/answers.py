@@ -52,10 +52,11 @@ def derivatives(cases: Sequence[Case], dtype: Any, mode: Mode = "reverse", chunk
 def derivatives_with_rounding(
     cases: Sequence[Case], dtype: Any, mode: Mode = "reverse", chunk: int = CHUNK
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """`derivatives`, and by how much those by frames may be off because of how they are had, [P, 4] too.
+    """`derivatives`, and by how much those by frames, and in frames, may be off because of how they are had, [P, 4] too.
 
     jaxlight holds a frame and its inverse M, and gives the derivatives F and G by both; that by the frame is
-    F - M^T G M^T, in which terms cancel. Each number of F and G is allowed one ulp.
+    F - M^T G M^T, and that by a location the frame times that by its place in the world; terms cancel in both. Each
+    number of F and G is allowed one ulp.
     """
     out: list[np.ndarray] = [np.zeros((0, 4))] * len(cases)
     rounding = out.copy()
@@ -178,15 +179,25 @@ def mapped(function: Callable[[Scene, SampleBuffer], Any], scene: Scene, samples
 def by_path(derivatives: tuple[Scene, SampleBuffer], group: Group, scene: Scene, *, sizes: bool = False) -> np.ndarray:
     """Derivatives as float64 [cases, P, 4], in the order of the group's paths.
 
-    `sizes`: instead, of those by frames the sizes of what is added up, and 0 of all others.
+    `sizes`: instead, of those by frames and by locations in frames the sizes of what is added up, and 0 of all others.
     """
     count = len(group.cases)
     of_scene, of_samples = jax.tree.map(lambda leaf: np.asarray(leaf, dtype=np.float64)[:count], derivatives)
     rows = light_rows(group.cases[0])
 
+    def by_location_sizes(path: Path) -> np.ndarray:
+        """The derivative by a location is that by the frame's translation, turned by the frame."""
+        match path:
+            case ("lights", i, "location", k) if group.cases[0].lights[i].frame is not None:
+                kind, row = rows[i]
+                by_translation = np.abs(getattr(of_scene, kind).to_world[..., row, :, 3])
+                axis = np.abs(np.asarray(getattr(scene, kind).to_world, dtype=np.float64)[:count, None, row, :, k])
+                return np.sum(axis * by_translation, axis=-1)
+        return np.zeros((count, 4))
+
     def column(path: Path) -> np.ndarray:
         if sizes and "frame" not in path:
-            return np.zeros((count, 4))
+            return by_location_sizes(path)
         match path:
             case ("material", name, *k):
                 return getattr(of_scene.materials, name)[(..., 0, *k)]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,8 @@ import pytest
 
 from cases_to_scenes import options_of, scene_and_sample
 from fit_scenes import precision
-from jaxlight import Scene, nodes, shade
+from jaxlight import LightingOptions, Scene, nodes, shade
+from jaxlight.lighting import highlight
 from jaxlight.raster import SampleBuffer
 from oracle.cases import well_conditioned_cases
 from oracle.fast_exact import values
@@ -85,3 +88,74 @@ def test_derivatives_of_half_precision() -> None:
     for got, wanted in zip(jax.tree.leaves(slopes), jax.tree.leaves(wide), strict=True):
         assert got.dtype == jnp.bfloat16 and wanted.dtype == jnp.float32
         np.testing.assert_allclose(got.astype(jnp.float32), wanted, rtol=2.0**-8, atol=1e-7)
+
+
+def test_the_fast_accuracy_keeps_its_bound() -> None:
+    """Highlights to 1e-4 of themselves: here 64 ulp x condition of the whole colour."""
+    cases = well_conditioned_cases(11, 48, 32)
+    exact = values(cases, 32)
+    worst = 0.0
+    for i, case in enumerate(cases):
+        scene, samples = scene_and_sample(case, np.float32)
+        got = shade(scene, samples, dataclasses.replace(options_of(case), accuracy="fast"))
+        ulp = error_in_ulp(np.asarray(got[0]), exact.rgba[i], 32)
+        assert np.all(ulp <= 64 * exact.condition[i]), case
+        worst = max(worst, float(np.max(ulp)))
+    assert worst > 0
+
+
+FAST = LightingOptions(accuracy="fast")
+
+
+@pytest.mark.parametrize("bits", ["float32", "float64"])
+def test_fast_highlights_at_all_exponents(bits: str) -> None:
+    """From the peak to where they vanish; the exact power of the same N . H in float64."""
+    with precision(bits) as dtype:
+        angle = np.linspace(0, 1.5, 200)
+        normal = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
+        samples = SampleBuffer.create(np.zeros_like(normal), normal, (0, 0, 1), dtype=dtype)
+        cosine = np.asarray(samples.normal, np.float64)[:, 2] / np.linalg.norm(
+            np.asarray(samples.normal, float), axis=1
+        )
+        for shininess in (0.0, 0.01, 0.2, 1.0):
+            body = nodes.Material(diffuse_color=(0, 0, 0), specular_color=(1, 1, 1), shininess=shininess)
+            shape = nodes.Shape(appearance=nodes.Appearance(material=body))
+            scene = Scene.from_nodes([shape, nodes.DirectionalLight(direction=(0, 0, -1))], dtype=dtype)
+            got = np.asarray(shade(scene, samples, FAST))[:, 0]
+            exponent = 128 * float(np.asarray(scene.materials.shininess)[0])
+            np.testing.assert_allclose(got, cosine**exponent, rtol=1e-4, atol=1e-37)
+
+
+def test_fast_changes_highlights_only() -> None:
+    samples = SampleBuffer.create(*rows(30), EYE, dtype=np.float32)
+    scene = spot_in_fog(np.float32)
+    dull = dataclasses.replace(
+        scene,
+        materials=dataclasses.replace(scene.materials, specular_color=jnp.zeros_like(scene.materials.specular_color)),
+    )
+    np.testing.assert_array_equal(shade(dull, samples, FAST), shade(dull, samples))
+
+
+@pytest.mark.parametrize("transform", [jax.jacfwd, jax.jacrev])
+def test_derivatives_of_fast_highlights(transform: Any) -> None:
+    samples = SampleBuffer.create(*rows(30), EYE, dtype=np.float32)
+    scene = dataclasses.replace(spot_in_fog(np.float32), document=None)
+
+    def mean(scene: Scene, options: LightingOptions | None) -> jax.Array:
+        return jnp.mean(shade(scene, samples, options)[:, :3])
+
+    def slopes(options: LightingOptions | None) -> Any:
+        free, fixed = eqx.partition(scene, eqx.is_inexact_array)
+        return transform(lambda free: mean(eqx.combine(free, fixed), options))(free)
+
+    for got, wanted in zip(jax.tree.leaves(slopes(FAST)), jax.tree.leaves(slopes(None)), strict=True):
+        np.testing.assert_allclose(got, wanted, rtol=1e-4, atol=1e-6)
+
+
+def test_derivatives_of_fast_highlights_at_their_ends() -> None:
+    """0 where N . H <= 0, and finite at the peak and with exponent 0."""
+    for squared, exponent in itertools.product((0.0, 1e-38, 1e-10, 1.0), (0.0, 1e-30, 1.0, 128.0)):
+        slopes = jax.grad(highlight.power_of_squared, argnums=(0, 1))(jnp.float32(squared), jnp.float32(exponent))
+        assert np.all(np.isfinite(slopes)), (squared, exponent)
+        if squared == 0:
+            assert [*map(float, slopes)] == [0, 0]

@@ -18,7 +18,7 @@ ScenePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")
 
 @dataclasses.dataclass(frozen=True)
 class Reading:
-    """How the specification is read where its texts disagree (docs/readings.md)."""
+    """How the specification is read where its texts disagree (docs/readings.md), and how accurately it is computed."""
 
     texture_mode: Literal["replace", "modulate"] = "replace"
     """RGB textures replace the diffuse colour (tables 17.2 and 17.3) or modulate it (17.2.2.3)."""
@@ -28,6 +28,8 @@ class Reading:
     """No highlight where the light is behind the surface (N.L <= 0), as OpenGL does."""
     support_level: Literal[1, 2, 3] = 3
     """Lighting support level of table 17.6."""
+    accuracy: Literal["full", "fast"] = "full"
+    """fast: highlights to 1e-4 of themselves (docs/precision.md)."""
 
     def lighting_options(self, **more: Any) -> LightingOptions:
         """The library's form of these options."""

@@ -8,10 +8,13 @@ tile than it can collect, all lights are computed, and chunks of which none reac
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int, UInt32
 
@@ -40,21 +43,27 @@ def received_from_near(
     rank = _running_count(reaches)
     count = rank[-1]
 
-    def nearest(capacity: int) -> Received:
+    # Checkpoints: the branch that is not taken then leaves no zeros behind for what it would have kept.
+    @partial(jax.checkpoint, static_argnums=0)
+    def nearest(capacity: int, lights: WorldLights) -> Received:
         rows = jnp.minimum(jnp.searchsorted(rank, jnp.arange(1, capacity + 1)), lights.count - 1)
         chosen = lights.with_planes(lambda plane: plane[rows], lambda colors: colors[:, rows])
         return _sum_over_lists(stage, of, chosen, jnp.arange(capacity) < count, tile)
 
-    def from_capacity(position: int) -> Received:
+    @jax.checkpoint
+    def all_chunks(lights: WorldLights) -> Received:
+        return _sum_over_chunks(of, lights, reaches, tile)
+
+    def from_capacity(position: int, lights: WorldLights) -> Received:
         """The sum, if more than the capacities before this position reach the tile."""
         if position == len(CAPACITIES):
-            return _sum_over_chunks(of, lights, reaches, tile)
+            return all_chunks(lights)
         capacity = CAPACITIES[position]
         if lights.count <= capacity:
-            return nearest(lights.count)
-        return lax.cond(count <= capacity, lambda: nearest(capacity), lambda: from_capacity(position + 1))
+            return nearest(lights.count, lights)
+        return lax.cond(count <= capacity, partial(nearest, capacity), partial(from_capacity, position + 1), lights)
 
-    return from_capacity(0)
+    return from_capacity(0, lights)
 
 
 def may_reach(lights: WorldLights, bounds: Bounds) -> Bool[Array, "lights groups"]:
@@ -194,17 +203,23 @@ def _sum_over_chunks(
     def spread(plane: Array) -> Array:
         return jnp.broadcast_to(plane, (*plane.shape[:-1], lanes)) if plane.ndim in (3, 4) else plane
 
+    # One table, so that cutting a chunk out is cheap: thousands of chunks are passed over.
+    leaves, tree = jax.tree.flatten(chunks)
+    table = jnp.concatenate([leaf.reshape(leaf.shape[0], -1) for leaf in leaves], axis=1)
+    ends = np.cumsum([math.prod(leaf.shape[1:]) for leaf in leaves]).tolist()
+
     @jax.checkpoint
-    def of_chunk(chunks: WorldLights, number: Array) -> Received:
-        some = jax.tree.map(lambda leaf: lax.dynamic_index_in_dim(leaf, number, keepdims=False), chunks)
+    def of_chunk(numbers: Array) -> Received:
+        parts = jnp.split(numbers, ends[:-1])
+        some = tree.unflatten([part.reshape(leaf.shape[1:]) for part, leaf in zip(parts, leaves, strict=True)])
         return of(some.with_planes(spread, spread))
 
-    def add(total: Received, number: Array) -> tuple[Received, None]:
-        # Cut out only where needed: thousands of chunks are passed over.
-        return lax.cond(needed[number], lambda: total + of_chunk(chunks, number), lambda: total), None
+    def add(total: Received, chunk: tuple[Array, Array]) -> tuple[Received, None]:
+        numbers, is_needed = chunk
+        return lax.cond(is_needed, lambda: total + of_chunk(numbers), lambda: total), None
 
-    dark = _dark(jax.eval_shape(of_chunk, chunks, jnp.zeros((), jnp.int32)))
-    return lax.scan(add, dark, jnp.arange(needed.shape[0]))[0]
+    dark = _dark(jax.eval_shape(of_chunk, table[0]))
+    return lax.scan(add, dark, (table, needed))[0]
 
 
 def _dark(shapes: Received) -> Received:

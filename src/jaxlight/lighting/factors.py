@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .elementary import arctangent, exp, log_of_alignment, one_minus_exp, ratio, steep_reciprocal
+from .elementary import arctangent, exp, one_minus_exp, ratio, steep_reciprocal
 from .vectors import Vector, cross, dot
 
 _HUGE = {jnp.dtype("float32"): 1e37, jnp.dtype("float64"): 1e300}
@@ -20,82 +20,6 @@ _ROOT_OF_HUGEST = {jnp.dtype("float32"): 2.0**63, jnp.dtype("float64"): 2.0**511
 def positive_part(x: Array) -> Array:
     """x where positive, else 0, with derivative 0 at 0: what makes a dot product the "modified" one of 17.2.2.4."""
     return jnp.where(x > 0, x, 0.0)
-
-
-# --- highlight: (N . H)^(128 shininess) -------------------------------------------------------------------------------
-
-AWAY = 1.0
-"""Stands for any N . H <= 0; a true alignment is at most 3/4."""
-
-
-@jax.custom_jvp
-def alignment(n: Vector, h: Vector, inverse: Array) -> Array:
-    """N . H for unit n, H = h / |h| and `inverse` = 1 / |h| (0 for h = 0); N . H - 1 where that is above -1/4.
-
-    Close to N = H the dot product has no digits of the angle left, and an exponent of 128 would show it: there
-    1 - N . H is taken from the difference, |N - H|^2 / 2. Where N . H <= 0: AWAY, with derivative 0.
-    """
-    towards = h.scaled(inverse)
-    difference = n - towards
-    cosine, versine = dot(n, towards), 0.5 * dot(difference, difference)
-    return jnp.where(cosine > 0, jnp.where(versine < 0.25, -versine, cosine), AWAY)
-
-
-@alignment.defjvp
-def _alignment_jvp(primals, tangents):
-    """d(n . h / |h|) = (n - H (n . H)) . dh / |h| + H . dn. The change of `inverse` is part of that.
-
-    Near the peak n - H (n . H) is taken as D - H (D . H) with D = n - H: rounded lengths of n and H would otherwise
-    leave a part along H, as large as the angle between them.
-    """
-    (n, h, inverse), (dn, dh, _) = primals, tangents
-    value = alignment(n, h, inverse)
-    towards = h.scaled(inverse)
-    near = jnp.where(value <= 0, 1.0, 0.0)
-    base = n - towards.scaled(near)
-    across = base - towards.scaled(dot(base, towards))
-    change = dot(across.scaled(inverse), dh) + dot(towards, dn)
-    return value, jnp.where(value == AWAY, 0.0, change)
-
-
-@jax.custom_jvp
-def highlight(alignment: Array, exponent: Array) -> Array:
-    """(N . H)^exponent from `alignment`; where N . H <= 0 it is 0^exponent: 1 for exponent 0, else 0, derivative 0."""
-    power = exp(exponent * log_of_alignment(alignment))
-    return jnp.where(alignment == AWAY, jnp.where(exponent == 0, 1.0, 0.0), power)
-
-
-@jax.custom_jvp
-def known_highlight(power: Array, alignment: Array, exponent: Array) -> Array:
-    """`highlight(alignment, exponent)`, which is known to be `power`, as a function of the other two."""
-    return power
-
-
-@highlight.defjvp
-def _highlight_jvp(primals, tangents):
-    power = highlight(*primals)
-    return power, _highlight_change(power, *primals, *tangents)
-
-
-@known_highlight.defjvp
-def _known_highlight_jvp(primals, tangents):
-    return primals[0], _highlight_change(*primals, *tangents[1:])
-
-
-def _highlight_change(power: Array, x: Array, exponent: Array, dx: Array, d_exponent: Array) -> Array:
-    """d x^n = n x^(n-1) dx + x^n ln(x) dn; the products are formed first, for dx may be huge.
-
-    At most 2^24 dx: below exponent 1 the slope at 0 is infinite. Nearer than 2^-60 to 0 the slope is that of a kink.
-    """
-    faces = x != AWAY
-    near = jnp.where(faces, x, 0.0)
-    cosine = jnp.maximum(jnp.where(near <= 0, 1.0 + near, near), 2.0**-60)
-    slope = jnp.minimum(exponent * (power / cosine), _STEEPEST)
-    change = slope * dx + (power * log_of_alignment(near)) * d_exponent
-    return jnp.where(faces, change, 0.0)
-
-
-_STEEPEST = 2.0**24
 
 
 # --- attenuation ------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""How the specification is read where its texts disagree or leave a choice."""
+"""How the specification is read where its texts disagree or leave a choice, and how accurately."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ class LightingOptions:
     """True: no highlight where N . L <= 0 (the habit of OpenGL); False: the equation as it is written."""
     support_level: Literal[1, 2, 3] = 3
     """Table 17.6. 1: directional lights only, not scoped. 2: attenuation linear, directional lights not scoped."""
+    accuracy: Literal["full", "fast"] = "full"
+    """full: every digit that the inputs have. fast: highlights to 1e-4 of themselves (docs/precision.md)."""
 
     def __post_init__(self) -> None:
         allowed = {
@@ -29,6 +31,7 @@ class LightingOptions:
             "fog_unlit": (True, False),
             "specular_gate": (True, False),
             "support_level": (1, 2, 3),
+            "accuracy": ("full", "fast"),
         }
         for name, values in allowed.items():
             if getattr(self, name) not in values:

@@ -36,12 +36,7 @@ def base_color(
     material: MaterialRow | None,
     vertex_color: Float[Array, "components rows lanes"] | None,
     texel: Float[Array, "components rows lanes"] | None,
-) -> Float[
-    Array,
-    (
-        3  # samples
-    ),
-]:
+) -> Float[Array, "3 #rows #lanes"]:
     """O_D of table 17.3 for lit surfaces, I of table 17.2 for the others (emissiveColor for lines and points).
 
     One- and two-component textures scale what is there; three- and four-component textures replace it, or scale it

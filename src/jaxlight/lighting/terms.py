@@ -17,9 +17,10 @@ from jaxtyping import Array, Float
 
 from . import factors
 from .elementary import ratio
+from .highlight import Highlight
 from .stages import Stage
 from .surface import MaterialRow
-from .vectors import Vector, dot, half_vector, inverse_length, inverse_length_in_range, normalised, transform, unit
+from .vectors import Vector, dot, inverse_length, inverse_length_in_range, normalised, transform, unit
 from .world import WorldFog, WorldLights
 
 
@@ -68,18 +69,27 @@ class Received(NamedTuple):
 
 
 def received(
-    stage: Stage, lights: WorldLights, tile: Geometry, material: MaterialRow, *, specular: bool, specular_gate: bool
+    stage: Stage,
+    lights: WorldLights,
+    tile: Geometry,
+    material: MaterialRow,
+    *,
+    highlight: Highlight | None,
+    specular_gate: bool,
 ) -> Received:
-    """attenuation * spot * I_L * (ambient + diffuse + specular), summed over lights, without O_D and O_S."""
-    aspect = _aspect(stage, lights, tile, specular)
+    """attenuation * spot * I_L * (ambient + diffuse + specular), summed over lights, without O_D and O_S.
+
+    `highlight` None: no specular term.
+    """
+    aspect = _aspect(stage, lights, tile, highlight)
     reaching = _reaching(stage, lights, tile, aspect)
     ambient = None if lights.ambient is None else (lights.ambient, material.ambient_intensity)
     exponent = power = None
-    if aspect.alignment is not None:
+    if highlight is not None and aspect.alignment is not None:
         exponent = 128.0 * material.shininess
-        power = stage(partial(factors.highlight, aspect.alignment, exponent))
+        power = stage(partial(highlight.power, aspect.alignment, exponent))
     for_diffuse, for_specular = stage.each(
-        partial(_weights, specular_gate),
+        partial(_weights, highlight, specular_gate),
         reaching,
         aspect,
         lights.intensity,
@@ -93,6 +103,7 @@ def received(
 
 
 def _weights(
+    highlight: Highlight | None,
     specular_gate: bool,
     reaching: Array | None,
     aspect: Aspect,
@@ -107,9 +118,9 @@ def _weights(
     """
     diffuse = intensity * factors.positive_part(aspect.facing)
     diffuse = _times(reaching, diffuse if ambient is None else diffuse + ambient[0] * ambient[1])
-    if power is None or exponent is None or aspect.alignment is None:
+    if highlight is None or power is None or exponent is None or aspect.alignment is None:
         return diffuse, None
-    specular = _times(reaching, intensity * factors.known_highlight(power, aspect.alignment, exponent))
+    specular = _times(reaching, intensity * highlight.known_power(power, aspect.alignment, exponent))
     return diffuse, jnp.where(aspect.facing > 0, specular, 0.0) if specular_gate else specular
 
 
@@ -119,14 +130,14 @@ class Aspect(NamedTuple):
     facing: Array
     """N . L"""
     alignment: Array | None
-    """N . H, as `factors.alignment` gives it; None: no highlights."""
+    """N . H, as `Highlight.alignment` gives it; None: no highlights."""
     distance: Array | None
     """d_L in the world's units; None: not asked for."""
     angle: Array | None
     """Between -L and the axis of a spotlight; None: no cone."""
 
 
-def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, specular: bool) -> Aspect:
+def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, highlight: Highlight | None) -> Aspect:
     """How a tile sees lights.
 
     The vectors to the lights are never stored: three planes cost more to keep than to compute anew from 1 / d_L.
@@ -139,12 +150,12 @@ def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, specular: bool) -
             lambda: inverse_length(place - position),
         )
     return stage.each(
-        partial(_seen, lights.asks_distance and lights.to_local is None),
+        partial(_seen, highlight, lights.asks_distance and lights.to_local is None),
         lights.towards,
         place,
         position,
         tile.normal,
-        tile.to_viewer if specular else None,
+        None if highlight is None else tile.to_viewer,
         lights.axis,
         derived=(inverse,),
         wide=(0, 1, 2, 3, 4, 5),
@@ -163,6 +174,7 @@ def _light_vector(
 
 
 def _seen(
+    highlight: Highlight | None,
     asks_distance: bool,
     towards: Vector | None,
     place: Vector | None,
@@ -174,11 +186,9 @@ def _seen(
 ) -> Aspect:
     """`inverse`: 1 / d_L."""
     l, distance = _light_vector(towards, place, position, inverse)
-    half = None if to_viewer is None else half_vector(l, to_viewer)
     return Aspect(
         facing=dot(normal, l),
-        # 1 / |H| here, and not in a stage before: near L = -V another rounding of L has another length of H.
-        alignment=None if half is None else factors.alignment(normal, half, inverse_length_in_range(half)),
+        alignment=None if highlight is None or to_viewer is None else highlight.alignment(normal, l, to_viewer),
         distance=distance if asks_distance else None,
         angle=None if axis is None else factors.angle_between(-l, axis),
     )
@@ -220,12 +230,17 @@ def _reach(
 
 def _squares_in_range(place: Vector, tile: Geometry) -> Array:
     """True if the squared distance of every light to every sample of the tile is a normal number, by its bounds."""
-    places = jnp.stack([component[:, 0] for component in place], axis=-1)
-    below, above = tile.low - places, places - tile.high
-    nearest = jnp.max(jnp.maximum(below, above), axis=-1)
-    farthest = jnp.max(jnp.maximum(jnp.abs(places - tile.low), jnp.abs(places - tile.high)), axis=-1)
+    nearest, farthest = [], []
+    for component, low, high in zip(place, tile.low, tile.high, strict=True):
+        below, above = low - component, component - high
+        nearest.append(jnp.maximum(below, above))
+        farthest.append(jnp.maximum(jnp.abs(below), jnp.abs(above)))
     safe = jnp.finfo(tile.low.dtype).max ** 0.4
-    return jnp.all((nearest > 1 / safe) & (farthest < safe))
+    return jnp.all((_largest(nearest) > 1 / safe) & (_largest(farthest) < safe))
+
+
+def _largest(planes: list[Array]) -> Array:
+    return jnp.maximum(jnp.maximum(planes[0], planes[1]), planes[2])
 
 
 def _times(factor: Array | None, value: Array) -> Array:

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from ..raster.samples import SampleBuffer
 from ..scene import Scene, Surface
 from .culling import received_from_near
+from .highlight import highlight_of
 from .plan import Plan
 from .prepared import Prepared, compute_dtype, lanes_of, material_row
 from .stages import Stage
@@ -192,6 +193,7 @@ def _light(
 ) -> Received | None:
     """What the lights of all kinds send to a tile; None: there are none."""
     total = None
+    highlight = highlight_of(plan.options.accuracy) if plan.specular else None
     kinds = zip(
         (prepared.directional, prepared.point, prepared.spot),
         (plan.directional, plan.point, plan.spot),
@@ -205,9 +207,7 @@ def _light(
             lights = _scoped(lights, scope[row])
 
         def of(some: WorldLights) -> Received:
-            return received(
-                stage, some, tile, material, specular=plan.specular, specular_gate=plan.options.specular_gate
-            )
+            return received(stage, some, tile, material, highlight=highlight, specular_gate=plan.options.specular_gate)
 
         light = (
             received_from_near(stage, of, lights, tile) if light_plan.culled else _received_from_all(of, lights, tile)

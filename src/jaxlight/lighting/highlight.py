@@ -1,0 +1,164 @@
+"""The highlight (N . H)^(128 shininess) of X3D 17.2.2.4, in full accuracy and fast.
+
+A form knows two steps, which are stages of their own: how a sample is aligned with the half vector, a plane that says
+all of N . H, and the power of it. A derivative at a kink lies between 0 and the one-sided derivatives.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from .elementary import exp, exp2_fast, log2_fast, log_of_alignment, ratio
+from .vectors import Vector, dot, half_vector, inverse_length_in_range
+
+
+class Highlight(NamedTuple):
+    """How highlights are computed."""
+
+    alignment: Callable[[Vector, Vector, Vector], Array]
+    """What the power asks to know of N . H, for unit n, l and v."""
+    power: Callable[[Array, Array], Array]
+    """(N . H)^exponent from the alignment; where N . H <= 0 it is 0^exponent: 1 for exponent 0, else 0."""
+    known_power: Callable[[Array, Array, Array], Array]
+    """`power(alignment, exponent)`, which is known to be the first argument, as a function of the other two."""
+
+
+def highlight_of(accuracy: Literal["full", "fast"]) -> Highlight:
+    """The form for `LightingOptions.accuracy`."""
+    return FULL if accuracy == "full" else FAST
+
+
+_STEEPEST = 2.0**24
+"""Below exponent 1 the slope of a power at 0 is infinite; it is held to this."""
+
+# --- full: every digit that the inputs have ---------------------------------------------------------------------------
+
+AWAY = 1.0
+"""Stands for any N . H <= 0; a true alignment is at most 3/4."""
+
+
+def aligned(n: Vector, l: Vector, v: Vector) -> Array:
+    """`alignment` of n with the half vector of l and v."""
+    half = half_vector(l, v)
+    # 1 / |H| here, and not in a stage before: near L = -V another rounding of L has another length of H.
+    return alignment(n, half, inverse_length_in_range(half))
+
+
+@jax.custom_jvp
+def alignment(n: Vector, h: Vector, inverse: Array) -> Array:
+    """N . H for unit n, H = h / |h| and `inverse` = 1 / |h| (0 for h = 0); N . H - 1 where that is above -1/4.
+
+    Close to N = H the dot product has no digits of the angle left, and an exponent of 128 would show it: there
+    1 - N . H is taken from the difference, |N - H|^2 / 2. Where N . H <= 0: AWAY, with derivative 0.
+    """
+    towards = h.scaled(inverse)
+    difference = n - towards
+    cosine, versine = dot(n, towards), 0.5 * dot(difference, difference)
+    return jnp.where(cosine > 0, jnp.where(versine < 0.25, -versine, cosine), AWAY)
+
+
+@alignment.defjvp
+def _alignment_jvp(primals, tangents):
+    """d(n . h / |h|) = (n - H (n . H)) . dh / |h| + H . dn. The change of `inverse` is part of that.
+
+    Near the peak n - H (n . H) is taken as D - H (D . H) with D = n - H: rounded lengths of n and H would otherwise
+    leave a part along H, as large as the angle between them.
+    """
+    (n, h, inverse), (dn, dh, _) = primals, tangents
+    value = alignment(n, h, inverse)
+    towards = h.scaled(inverse)
+    near = jnp.where(value <= 0, 1.0, 0.0)
+    base = n - towards.scaled(near)
+    across = base - towards.scaled(dot(base, towards))
+    change = dot(across.scaled(inverse), dh) + dot(towards, dn)
+    return value, jnp.where(value == AWAY, 0.0, change)
+
+
+@jax.custom_jvp
+def power(alignment: Array, exponent: Array) -> Array:
+    """(N . H)^exponent from `alignment`, with derivative 0 where N . H <= 0."""
+    value = exp(exponent * log_of_alignment(alignment))
+    return jnp.where(alignment == AWAY, jnp.where(exponent == 0, 1.0, 0.0), value)
+
+
+@jax.custom_jvp
+def _known_power(power: Array, alignment: Array, exponent: Array) -> Array:
+    return power
+
+
+@power.defjvp
+def _power_jvp(primals, tangents):
+    value = power(*primals)
+    return value, _power_change(value, *primals, *tangents)
+
+
+@_known_power.defjvp
+def _known_power_jvp(primals, tangents):
+    return primals[0], _power_change(*primals, *tangents[1:])
+
+
+def _power_change(power: Array, x: Array, exponent: Array, dx: Array, d_exponent: Array) -> Array:
+    """d x^n = n x^(n-1) dx + x^n ln(x) dn; the products are formed first, for dx may be huge.
+
+    Nearer than 2^-60 to 0 the slope is that of a kink.
+    """
+    faces = x != AWAY
+    near = jnp.where(faces, x, 0.0)
+    cosine = jnp.maximum(jnp.where(near <= 0, 1.0 + near, near), 2.0**-60)
+    slope = jnp.minimum(exponent * (power / cosine), _STEEPEST)
+    change = slope * dx + (power * log_of_alignment(near)) * d_exponent
+    return jnp.where(faces, change, 0.0)
+
+
+FULL = Highlight(aligned, power, _known_power)
+
+# --- fast: a third of the operations ----------------------------------------------------------------------------------
+
+
+def squared_cosine(n: Vector, l: Vector, v: Vector) -> Array:
+    """(N . H)^2 without a unit half vector, 0 where N . H <= 0; its rounding counts exponent / 2 times in the power."""
+    half = l + v
+    cosine = dot(n, half)
+    faces = cosine > 0
+    return jnp.where(faces, ratio(cosine * cosine, jnp.where(faces, dot(half, half), 1.0)), 0.0)
+
+
+@jax.custom_jvp
+def power_of_squared(squared: Array, exponent: Array) -> Array:
+    """`squared`^(exponent / 2)"""
+    value = exp2_fast((0.5 * exponent) * log2_fast(jnp.where(squared > 0, squared, 1.0)))
+    return jnp.where(squared > 0, value, jnp.where(exponent == 0, 1.0, 0.0))
+
+
+@jax.custom_jvp
+def _known_power_of_squared(power: Array, squared: Array, exponent: Array) -> Array:
+    return power
+
+
+@power_of_squared.defjvp
+def _power_of_squared_jvp(primals, tangents):
+    value = power_of_squared(*primals)
+    return value, _power_of_squared_change(value, *primals, *tangents)
+
+
+@_known_power_of_squared.defjvp
+def _known_power_of_squared_jvp(primals, tangents):
+    return primals[0], _power_of_squared_change(*primals, *tangents[1:])
+
+
+def _power_of_squared_change(power: Array, squared: Array, exponent: Array, d_squared: Array, d_exponent: Array):
+    faces = squared > 0
+    base = jnp.where(faces, squared, 1.0)
+    half = 0.5 * exponent
+    slope = jnp.minimum(half * (power / base), _STEEPEST)
+    change = slope * d_squared + (power * (0.5 * math.log(2)) * log2_fast(base)) * d_exponent
+    return jnp.where(faces, change, 0.0)
+
+
+FAST = Highlight(squared_cosine, power_of_squared, _known_power_of_squared)
