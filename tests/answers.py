@@ -52,7 +52,7 @@ def derivatives(cases: Sequence[Case], dtype: Any, mode: Mode = "reverse", chunk
 def derivatives_with_rounding(
     cases: Sequence[Case], dtype: Any, mode: Mode = "reverse", chunk: int = CHUNK
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """`derivatives`, and by how much those by frames, and in frames, may be off because of how they are had, [P, 4] too.
+    """`derivatives`, and by how much those by or in frames may be off because of how they are had, [P, 4] too.
 
     jaxlight holds a frame and its inverse M, and gives the derivatives F and G by both; that by the frame is
     F - M^T G M^T, and that by a location the frame times that by its place in the world; terms cancel in both. Each
