@@ -244,8 +244,11 @@ def _by_frame(derivative: Any, lights: Any, row: int, count: int, sizes: bool) -
 
 
 def _through_inverse(by_inverse: np.ndarray, inverse: Any, sizes: bool) -> np.ndarray:
-    """The derivative by a matrix, from that by its inverse M: -M^T G M^T; or the sizes of its terms, added up."""
+    """The derivative by a matrix, from that by its inverse M: -M^T G M^T; or the sizes of its terms, added up.
+
+    The sizes count twice: M, too, is rounded when it is stored, by half an ulp, and stands there twice.
+    """
     transposed = np.swapaxes(np.asarray(inverse, dtype=np.float64)[:, None], -1, -2)
     if sizes:
-        return np.abs(transposed) @ np.abs(by_inverse) @ np.abs(transposed)
+        return 2 * np.abs(transposed) @ np.abs(by_inverse) @ np.abs(transposed)
     return -transposed @ by_inverse @ transposed

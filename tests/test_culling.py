@@ -112,11 +112,17 @@ def test_lists_name_the_lights_whose_flags_are_set(count: int, share: float) -> 
             np.testing.assert_array_equal(rows[: len(listed), lane], listed)
 
 
+def size_of_lanes(samples: SampleBuffer) -> np.ndarray:
+    """[blocks, 3, tiles of a block, lanes]: how far the samples reach that a tile has in a lane."""
+    rows = samples.tile // LANES
+    lanes = np.asarray(samples.position_planes).reshape(-1, 3, samples.group, rows, LANES)
+    return lanes.max(axis=3) - lanes.min(axis=3)
+
+
 def test_the_samples_of_a_lane_are_neighbours() -> None:
     """And rasterising a scene of many lights stores them so."""
     _, samples = many_lights("point", 0.3)
-    lanes = np.asarray(samples.position_planes).reshape(-1, 3, samples.tile // LANES, LANES)
-    extent = np.max(lanes.max(axis=2) - lanes.min(axis=2), axis=1)
+    extent = np.max(size_of_lanes(samples), axis=1)
     assert extent.max() < 3 * 4 / 64  # two samples a lane, 4 / 64 apart
 
     ball = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()), geometry=nodes.Sphere())
@@ -127,7 +133,6 @@ def test_the_samples_of_a_lane_are_neighbours() -> None:
     np.testing.assert_array_equal(np.sort(few.pixel), np.sort(many.pixel))
 
     def spread(samples: SampleBuffer) -> float:
-        lanes = np.asarray(samples.position_planes).reshape(-1, 3, samples.tile // LANES, LANES)
-        return float(np.mean(np.linalg.norm(lanes.max(axis=2) - lanes.min(axis=2), axis=1)))
+        return float(np.mean(np.linalg.norm(size_of_lanes(samples), axis=1)))
 
     assert spread(many) < spread(few) / 2

@@ -127,9 +127,10 @@ def tile_color(
     first = index * count
 
     def of_tiles(planes: Array) -> Array:
-        """[components, rows, lanes] of [tiles, components, tile]."""
-        mine = lax.dynamic_slice_in_dim(planes, first, count)
-        return jnp.swapaxes(mine, 0, 1).reshape(planes.shape[1], -1, lanes).astype(dtype)
+        """[components, rows, lanes] of [blocks, components, block]."""
+        block, within = first // samples.group, first % samples.group * samples.tile
+        mine = lax.dynamic_slice(planes, (block, jnp.zeros_like(block), within), (1, planes.shape[1], tile))
+        return mine.reshape(planes.shape[1], -1, lanes).astype(dtype)
 
     def vector(planes: Array) -> Vector:
         return Vector(*(stage(lambda i=i: of_tiles(planes[:, i : i + 1])[0]) for i in range(3)))

@@ -1,6 +1,6 @@
 """The sample buffer: what the lighting equation needs to know of every visible surface point, background left out.
 
-Rows ([N, 3]) are how people read it; planes ([tiles, 3, tile]), padded and grouped into tiles of one surface each, are
+Rows ([N, 3]) are how people read it; planes ([blocks, 3, block]), padded and grouped into tiles of one surface each, are
 how it is stored, because the equation is evaluated tile by tile. The layout changes once, here.
 """
 
@@ -28,8 +28,9 @@ class SampleBuffer(eqx.Module):
     Build it with `SampleBuffer.create`, `rasterize` or `samples_from_maps`. World space, the units of the scene.
     """
 
-    position_planes: Float[Array, "tiles 3 tile"]
-    normal_planes: Float[Array, "tiles 3 tile"]
+    position_planes: Float[Array, "blocks 3 block"]
+    """Of every block, `group` tiles of one surface, all x, then all y, then all z: read at once under few lights."""
+    normal_planes: Float[Array, "blocks 3 block"]
     eye: Float[Array, "3"]
     """The viewer's position."""
     camera_to_world: Float[Array, "3 3"] | None
@@ -37,7 +38,7 @@ class SampleBuffer(eqx.Module):
     pixel_to_world: Float[Array, "3 3"] | None
     """(u, v, 1) in pixels, (0, 0) the outer corner of the top left one, to the direction of its ray in world axes; what
     is behind the geometry is seen along it."""
-    color_planes: Float[Array, "tiles components tile"] | None
+    color_planes: Float[Array, "blocks components block"] | None
     """Interpolated per-vertex or per-face colour (RGB or RGBA), or None."""
     texel_index: Int[Array, "4 slots"] | None
     """The four texels (row * width + column) around each sample in its surface's texture, or None."""
@@ -127,11 +128,11 @@ class SampleBuffer(eqx.Module):
         layout = _layout(surface, tile, position if by_place else None)
 
         def planes(values: np.ndarray | None) -> Any:
-            """[N, components] -> [tiles, components, tile]"""
+            """[N, components] -> [blocks, components, block]"""
             if values is None:
                 return None
-            tiled = values[layout.source].reshape(-1, layout.tile, values.shape[1])
-            return jnp.asarray(np.ascontiguousarray(tiled.swapaxes(1, 2)), dtype=dtype)
+            blocks = values[layout.source].reshape(-1, layout.group * layout.tile, values.shape[1])
+            return jnp.asarray(np.ascontiguousarray(blocks.swapaxes(1, 2)), dtype=dtype)
 
         def slots(values: np.ndarray | None, padding: float) -> Any:
             return None if values is None else np.where(layout.is_padding, padding, values[layout.source])
@@ -170,7 +171,7 @@ class SampleBuffer(eqx.Module):
         return slots[..., : self.count] if self.slot is None else jnp.take(slots, self.slot, axis=-1)
 
     def rows_in_sample_order(self, planes: Array) -> Array:
-        """[tiles, components, tile] -> [N, components]: padding dropped, samples in the order given."""
+        """[tiles or blocks, components, tile or block] -> [N, components]: padding dropped, samples in the order given."""
         rows = jnp.swapaxes(planes, 1, 2).reshape(-1, planes.shape[1])
         return rows[: self.count] if self.slot is None else jnp.take(rows, self.slot, axis=0)
 
