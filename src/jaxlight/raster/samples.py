@@ -1,7 +1,7 @@
 """The sample buffer: what the lighting equation needs to know of every visible surface point, background left out.
 
-Rows ([N, 3]) are how people read it; planes ([blocks, 3, block]), padded and grouped into tiles of one surface each, are
-how it is stored, because the equation is evaluated tile by tile. The layout changes once, here.
+Rows ([N, 3]) are how people read it; planes ([blocks, 3, block]), padded and grouped into tiles of one surface each,
+are how it is stored, because the equation is evaluated tile by tile. The layout changes once, here.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ class SampleBuffer(eqx.Module):
         return slots[..., : self.count] if self.slot is None else jnp.take(slots, self.slot, axis=-1)
 
     def rows_in_sample_order(self, planes: Array) -> Array:
-        """[tiles or blocks, components, tile or block] -> [N, components]: padding dropped, samples in the order given."""
+        """[tiles, components, tile], or blocks, -> [N, components]: padding dropped, samples in the order given."""
         rows = jnp.swapaxes(planes, 1, 2).reshape(-1, planes.shape[1])
         return rows[: self.count] if self.slot is None else jnp.take(rows, self.slot, axis=0)
 
