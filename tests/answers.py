@@ -186,13 +186,16 @@ def by_path(derivatives: tuple[Scene, SampleBuffer], group: Group, scene: Scene,
     rows = light_rows(group.cases[0])
 
     def by_location_sizes(path: Path) -> np.ndarray:
-        """The derivative by a location is that by the frame's translation, turned by the frame."""
+        """The derivative by a location is that by the frame's translation, turned by the frame.
+
+        Twice: that derivative is rounded, and so was the place in the world, which turns it by as much.
+        """
         match path:
             case ("lights", i, "location", k) if group.cases[0].lights[i].frame is not None:
                 kind, row = rows[i]
                 by_translation = np.abs(getattr(of_scene, kind).to_world[..., row, :, 3])
                 axis = np.abs(np.asarray(getattr(scene, kind).to_world, dtype=np.float64)[:count, None, row, :, k])
-                return np.sum(axis * by_translation, axis=-1)
+                return 2 * np.sum(axis * by_translation, axis=-1)
         return np.zeros((count, 4))
 
     def column(path: Path) -> np.ndarray:
