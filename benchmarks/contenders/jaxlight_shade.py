@@ -1,4 +1,4 @@
-"""jaxlight by its public functions: nodes to Scene, rows to SampleBuffer, `shade_planes`, JAX's transformations."""
+"""jaxlight by its public functions: nodes to Scene, rows to SampleBuffer, `shade_tiles`, JAX's transformations."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlight.lighting import LightingOptions, make_plan, shade_planes
+from jaxlight.lighting import LightingOptions, make_plan, shade_tiles
 from jaxlight.raster import SampleBuffer
 from jaxlight.scene import Scene, nodes
 
@@ -104,7 +104,9 @@ class JaxlightShade(Contender):
         slot = np.arange(work.samples) if self._samples.slot is None else np.asarray(self._samples.slot)
         target, weight = np.zeros((3, slots), np.float32), np.zeros(slots, np.float32)
         target[:, slot], weight[slot] = arrays.target, 1
-        self._target = jnp.asarray(target, self._scene.materials.diffuse_color.dtype)
+        in_tiles = np.ascontiguousarray(target.reshape(3, -1, self._samples.tile).swapaxes(0, 1))
+        self._target = jnp.asarray(in_tiles, self._scene.materials.diffuse_color.dtype)
+        weight = weight.reshape(-1, 1, self._samples.tile)
         self._weight = None if slots == work.samples else jnp.asarray(weight, self._target.dtype)
 
     def prepare(self, operation: Operation) -> Run:
@@ -113,7 +115,7 @@ class JaxlightShade(Contender):
         if not wanted:
             # Called as a user does, outside jit: the library compiles for itself, here.
             def run() -> Any:
-                return jax.block_until_ready(shade_planes(self._scene, self._samples, plan=plan))
+                return jax.block_until_ready(shade_tiles(self._scene, self._samples, plan=plan))
 
             run()
             return run
@@ -121,7 +123,7 @@ class JaxlightShade(Contender):
         free, fixed = eqx.partition(self._scene, eqx.is_inexact_array)
 
         def loss(free: Scene, fixed: Scene, samples: SampleBuffer, target: Any, weight: Any) -> Any:
-            squared = (shade_planes(eqx.combine(free, fixed), samples, plan=plan)[:3] - target) ** 2
+            squared = (shade_tiles(eqx.combine(free, fixed), samples, plan=plan)[:, :3] - target) ** 2
             return jnp.sum(squared if weight is None else squared * weight)
 
         arguments = (free, fixed, self._samples, self._target, self._weight)
@@ -129,7 +131,7 @@ class JaxlightShade(Contender):
         return lambda: jax.block_until_ready(compiled_gradient(*arguments))
 
     def colors(self, result: Any) -> np.ndarray:
-        return np.asarray(self._samples.in_sample_order(result))[:3]
+        return np.asarray(self._samples.rows_in_sample_order(result)).T[:3]
 
     def value_and_gradient(self, result: Any) -> ValueAndGradient:
         value, gradient = result
