@@ -227,7 +227,8 @@ def _received_from_all(of: Callable[[WorldLights], Received], lights: WorldLight
     chunk = max(1, PLANE // tile.position.x.size)
     if lights.count <= chunk:
         return of(lights)
-    chunks = in_chunks(lights, chunk)
+    count = -(-lights.count // chunk)
+    chunks = in_chunks(lights, -(-lights.count // count))  # all about as long: what is missing is filled up with black
     first = jax.eval_shape(of, jax.tree.map(lambda leaf: leaf[0], chunks))
     dark = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), first)
     total, _ = lax.scan(lambda total, some: (total + of(some), None), dark, chunks)
