@@ -118,7 +118,7 @@ def _power_change(power: Array, x: Array, exponent: Array, dx: Array, d_exponent
 
 FULL = Highlight(aligned, power, _known_power)
 
-# --- fast: a third of the operations ----------------------------------------------------------------------------------
+# --- fast: fewer operations ------------------------------------------------------------------------------------------
 
 
 def squared_cosine(n: Vector, l: Vector, v: Vector) -> Array:
