@@ -14,7 +14,7 @@ import oracle
 from oracle import Case, Fog, Light, Material, Sample
 from oracle.adversarial import FAMILIES, adversarial_cases, step
 from oracle.cases import random_cases, well_conditioned_cases
-from oracle.condition import condition, gradient_condition, near_ties
+from oracle.condition import condition, gradient_condition, moved_gradient_condition, near_ties
 from oracle.equation import brightest, shade
 from oracle.exact import evaluate, gradient_bounds
 from oracle.fast_exact import gradients, values
@@ -258,13 +258,30 @@ def test_fast_bounds_at_kinks_agree_with_exact() -> None:
 
 def test_fast_gradient_conditions_agree_with_exact() -> None:
     cases = away_from_kinks(RANDOM, 4)
-    for group in gradients(cases, 32, rounded_lengths=False):
+    for group in gradients(cases, 32):
         assert group.condition is not None
         for row, place in enumerate(group.index):
             exact = gradient_condition(cases[place])
             for i, path in enumerate(group.paths):
                 expected = exact.get(path, (1.0,) * 4)
                 np.testing.assert_allclose(group.condition[row, i], expected, rtol=1e-6, err_msg=show(path))
+
+
+def test_moved_inputs_tell_the_condition_of_derivatives_that_first_order_tells() -> None:
+    for case in away_from_kinks(RANDOM, 4):
+        moved = moved_gradient_condition(case)
+        for path, expected in gradient_condition(case).items():
+            np.testing.assert_allclose(moved[path], expected, rtol=1e-3, err_msg=show(path))
+
+
+def test_moved_inputs_tell_what_vanishes_to_first_order() -> None:
+    """L and V opposite, N in their plane: H turns with an input's square."""
+    numbers: dict[str, Any] = {"position": (-3.0, -1.0, 1.0), "normal": (0.0, -1.0, 1.0), "eye": (-4.0, 0.0, 0.0)}
+    light = Light(kind="point", location=(-2.0 - 2.0**-12, -2.0, 2.0))
+    material = Material(shininess=1 / 128, specular_color=(1.0, 1.0, 1.0))
+    case = Case(sample=Sample(**numbers), material=material, lights=(light,))
+    path = ("sample", "position", 0)
+    assert moved_gradient_condition(case, 32)[path][0] > 100 * gradient_condition(case, 32)[path][0]
 
 
 # --- cases ------------------------------------------------------------------------------------------------------------

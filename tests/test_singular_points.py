@@ -16,6 +16,7 @@ from benchmarks.stress.judge import Block, Judged, Precision
 from mpmath import mp, mpf
 
 import answers
+from answers import Mode
 from cases_to_scenes import structure
 from jaxlight.lighting import elementary, factors, highlight
 from jaxlight.lighting.vectors import Vector, unit
@@ -97,6 +98,15 @@ def test_a_light_opposite_the_viewer_in_one_plane_with_the_normal(precision: Pre
     case = one_light((1.0, -4.0, -3.0), (3.0, -2.0, -5.0), (2.0, -3.0 - offset, -4.0), (-1.0, 0.0, 1.0), 1 / 128)
     judged = Block([case], precision).judge_values()
     assert judged.finite.all() and judged.relative[0] <= VALUES
+
+
+@pytest.mark.parametrize("offset", [2.0**-19, 2.0**-16, 2.0**-12])
+@pytest.mark.parametrize("mode", ["reverse", "forward"])
+def test_slopes_under_a_light_opposite_the_viewer_in_one_plane_with_the_normal(offset: float, mode: Mode) -> None:
+    """L + V turns by symmetry only, and 1 / |L + V| must not bring back what rounding has left of other parts."""
+    case = one_light((-2.0 - offset, -2.0, 2.0), (-4.0, 0.0, 0.0), (-3.0, -1.0, 1.0), (0.0, -1.0, 1.0), 1 / 128)
+    judged = Block([case], "float64").judge_derivatives(mode)
+    assert judged.finite.all() and judged.relative[0] <= DERIVATIVES
 
 
 def test_the_slope_of_a_grazing_highlight() -> None:

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.stress.draw import find
-from benchmarks.stress.figures import Table
+from benchmarks.stress.figures import LIMITS, Table
+from benchmarks.stress.judge import Block
 
+import answers
 from jaxlight.cli import main, stress
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -36,6 +38,20 @@ def test_a_case_is_found_by_its_label_and_explained(
     assert "well-conditioned True" in capsys.readouterr().out
     assert main(["stress", "--seed", "5", "--case", "random"]) == 2
     assert main(["stress", "--case", label]) == 2
+
+
+@pytest.mark.parametrize(("factor", "holds"), [(1.0, True), (1 + 2.0**-15, False)])
+def test_what_is_in_doubt_is_settled_by_fifty_digits(
+    monkeypatch: pytest.MonkeyPatch, factor: float, holds: bool
+) -> None:
+    """A derivative that is wrong stays wrong, and the error of one that 80 bits do not know is its own."""
+    block = Block([find(1, "random:0:3", shapes=1)], "float32")
+    (exact,) = block.derivatives
+    true = factor * ((exact.low + exact.high) / 2)[0].astype(np.float32)
+    exact.low[...] = exact.high[...] = exact.high * 1.5
+    monkeypatch.setattr(answers, "derivatives_with_rounding", lambda *_: ([true], [np.zeros_like(true)]))
+    judged = block.judge_derivatives("reverse")
+    assert (judged.relative[0] <= LIMITS["reverse"]) == holds
 
 
 def test_without_a_checkout_one_sentence_says_so(

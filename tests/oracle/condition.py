@@ -7,11 +7,11 @@
 each input moved alone to its neighbours in the format (see `ulp`: zeros stay, subnormals may also become zero), f at
 full precision. An algorithm that is right for slightly wrong inputs has an error of a few ulp times the condition.
 
-**Condition number of a derivative** g = df/dx_k: the same to first order,
+**Condition number of a derivative** g = df/dx_k: the same of g, or to first order
 
     condition = max(1, sum_i |d2f/dx_k dx_i| ulp(x_i) / ulp(g))
 
-(in `fast_exact` with one more x_i a light: the length of its rounded unit vector L, which is 1 give or take an ulp).
+which is quicker, and too small where the first order vanishes: near L = -V with N, L and V in one plane, say.
 
 **Well-conditioned**: condition at most 1000, and every jump at least 16 ulp away. The distance of a decision is
 |margin| / sum_i |d margin / dx_i| ulp(x_i): the number of ulps by which all inputs would have to conspire to turn it.
@@ -25,7 +25,7 @@ may lose its digits: multiplied by ordinary factors it underflows, while its slo
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,12 +88,37 @@ def gradient_condition(case: Case, precision: int = 32) -> dict[Path, tuple[floa
             moved[p][c] += abs(second[c]) * ulps[q]
             if p != q:
                 moved[q][c] += abs(second[c]) * ulps[p]
+    return _conditions(moved, exact, precision)
 
-    def four(path: Path) -> tuple[float, float, float, float]:
-        r, g, b, a = (_condition(moved[path][c], exact.gradient[path][c], precision) for c in range(4))
-        return r, g, b, a
 
-    return {path: four(path) for path in exact.inputs}
+def moved_gradient_condition(case: Case, precision: int = 32) -> dict[Path, tuple[float, float, float, float]]:
+    """`gradient_condition` not to first order but by moving every input; next to kinks, that of the worse side."""
+    is_near = near_ties(case, precision)
+    kinks = [d for d in evaluate(case, 1).decisions if d.kind == "kink"]
+    near = [is_near(d) for d in kinks]
+    worst: dict[Path, tuple[float, float, float, float]] = {}
+    for side in (False, True) if any(near) else (False,):
+        sides = {d.name: side if here else d.margin > 0 for d, here in zip(kinks, near, strict=True)}
+        for path, own in _moved_condition(case, precision, sides).items():
+            r, g, b, a = (max(pair) for pair in zip(own, worst.get(path, own), strict=True))
+            worst[path] = r, g, b, a
+    return worst
+
+
+def _moved_condition(
+    case: Case, precision: int, sides: Mapping[str, bool]
+) -> dict[Path, tuple[float, float, float, float]]:
+    exact = evaluate(case, 1, ties=sides)
+    none = (0.0,) * 4
+    moved = {path: [0.0] * 4 for path in exact.inputs}
+    for path in exact.inputs:
+        value = float(get(case, path))
+        others = {float(x) for x in neighbours(value, precision)} - {value}
+        ends = [evaluate(put(case, path, other), 1, ties=sides).gradient for other in others]
+        for p, gradient in exact.gradient.items():
+            for c in range(4):
+                moved[p][c] += max((abs(end.get(p, none)[c] - gradient[c]) for end in ends), default=0)
+    return _conditions(moved, exact, precision)
 
 
 def distance(decision: Decision, case: Case, exact: Exact, precision: int = 32) -> float:
@@ -119,6 +144,18 @@ def near_ties(case: Case, precision: int = 32) -> Callable[[Decision], bool]:
         return distance(decision, case, exact, precision) < MIN_DISTANCE
 
     return is_tie
+
+
+def _conditions(
+    moved: dict[Path, list[Any]], exact: Exact, precision: int
+) -> dict[Path, tuple[float, float, float, float]]:
+    """Of the derivatives, by how far they move."""
+
+    def four(path: Path) -> tuple[float, float, float, float]:
+        r, g, b, a = (_condition(moved[path][c], exact.gradient[path][c], precision) for c in range(4))
+        return r, g, b, a
+
+    return {path: four(path) for path in exact.inputs}
 
 
 def _condition(moved: Any, value: Any, precision: int) -> float:

@@ -140,11 +140,10 @@ def dots(tape: FastTape, i: int, toward: Vector) -> tuple[Dual, Dual]:
     n = tape.vector("sample", "normal")
     to_eye = minus(tape.vector("sample", "eye"), tape.vector("sample", "position"))
     inverse_n, inverse_l, inverse_v = (safe_reciprocal(tape.length("jump", w)) for w in (n, toward, to_eye))
-    inverse_l_rounded = inverse_l * tape.unit_length(i)
-    half = plus(times(toward, inverse_l_rounded), times(to_eye, inverse_v))
+    half = plus(times(toward, inverse_l), times(to_eye, inverse_v))
     inverse_h = safe_reciprocal(tape.length("jump", half, tiny=OPPOSITE, rounding=True))
     n_l = dot(n, toward) * inverse_l * inverse_n
-    n_h = (dot(n, toward) * inverse_l_rounded + dot(n, to_eye) * inverse_v) * inverse_h * inverse_n
+    n_h = (dot(n, toward) * inverse_l + dot(n, to_eye) * inverse_v) * inverse_h * inverse_n
     none = tape.constant(0)
     gate = tape.case.options.specular_gate  # [16]
     positive = tape.decide("jump" if gate else "kink", n_l.value, n_l.gradient, name=f"lights[{i}].n_l")

@@ -109,27 +109,19 @@ def values(cases: Sequence[Case], precision: int = 32, *, conditioning: bool = T
     return Values(rgba, condition, distances)
 
 
-def gradients(
-    cases: Sequence[Case], precision: int = 32, *, conditioning: bool = True, rounded_lengths: bool = True
-) -> Iterator[Gradients]:
-    """Derivatives (with their bounds at kinks) and their conditions, chunk by chunk of cases of one shape.
-
-    `rounded_lengths`: the conditions also count that the lengths of unit vectors L are rounded (see `condition`).
-    """
+def gradients(cases: Sequence[Case], precision: int = 32, *, conditioning: bool = True) -> Iterator[Gradients]:
+    """Derivatives (with bounds at kinks) and their conditions to first order, chunk by chunk of cases of one shape."""
     order = 2 if conditioning else 1
     for index, columns in _chunks(cases, order):
-        yield _gradients_of_chunk(index, columns, order, precision, rounded_lengths)
+        yield _gradients_of_chunk(index, columns, order, precision)
 
 
-def _gradients_of_chunk(
-    index: np.ndarray, columns: Columns, order: int, precision: int, rounded_lengths: bool
-) -> Gradients:
+def _gradients_of_chunk(index: np.ndarray, columns: Columns, order: int, precision: int) -> Gradients:
     tape = FastTape(columns, order, precision)
     channels = _run(tape)
     base = _gradient(channels, columns)
     low, high = base.copy(), base.copy()
-    ulp_of_length = float(input_ulp(1.0, precision)) if rounded_lengths else 0.0
-    condition = _gradient_condition(channels, columns, base, precision, ulp_of_length) if order == 2 else None
+    condition = _gradient_condition(channels, columns, base, precision) if order == 2 else None
 
     def turned_over(names: frozenset[str]) -> np.ndarray:
         """How the derivatives change; their condition is that of the worse side."""
@@ -137,7 +129,7 @@ def _gradients_of_chunk(
         channels = _run(FastTape(columns, order, precision, names, MIN_DISTANCE))
         side = _gradient(channels, columns)
         if condition is not None:
-            condition = np.maximum(condition, _gradient_condition(channels, columns, side, precision, ulp_of_length))
+            condition = np.maximum(condition, _gradient_condition(channels, columns, side, precision))
         return side - base
 
     for group in _independent_kinks(tape.kinks):
@@ -175,7 +167,7 @@ def second_derivatives(
         size = np.zeros_like(change)
         for c, channel in enumerate(channels):
             for (i, j), second in (channel.hessian or {}).items():
-                for row, other in {(i, j), (j, i)} if max(i, j) < len(steps) else ():
+                for row, other in {(i, j), (j, i)}:
                     term = second * steps[other]
                     change[row, c] += term
                     size[row, c] += np.abs(term)
@@ -254,8 +246,7 @@ def _gradient(channels: tuple[Dual, ...], columns: Columns) -> np.ndarray:
     out = np.zeros((len(columns.paths), 4, columns.count), dtype=WIDE)
     for c, channel in enumerate(channels):
         for i, slope in channel.gradient.items():
-            if i < len(out):
-                out[i, c] = slope
+            out[i, c] = slope
     return out.transpose(2, 0, 1)
 
 
@@ -274,19 +265,16 @@ def _moved(columns: Columns, base: np.ndarray, precision: int) -> np.ndarray:
 
 
 def _gradient_condition(
-    channels: tuple[Dual, ...], columns: Columns, gradient: np.ndarray, precision: int, ulp_of_length: float
+    channels: tuple[Dual, ...], columns: Columns, gradient: np.ndarray, precision: int
 ) -> np.ndarray:
     """[n, P, 4]: how far each derivative moves, to first order, in its ulp."""
     ulps = input_ulp(columns.values, precision)
-    lengths = np.full((len(columns.template.lights), columns.count), ulp_of_length)  # of FastTape.unit_length
-    ulps = np.concatenate([ulps, lengths])
     moved = np.zeros((len(columns.paths), 4, columns.count), dtype=WIDE)
     for c, channel in enumerate(channels):
         for (i, j), second in (channel.hessian or {}).items():
             size = np.abs(second)
-            if i < len(moved):
-                moved[i, c] += size * ulps[j]
-            if i != j and j < len(moved):
+            moved[i, c] += size * ulps[j]
+            if i != j:
                 moved[j, c] += size * ulps[i]
     return _condition(moved.transpose(2, 0, 1), gradient, precision)
 

@@ -70,13 +70,6 @@ class FastTape:
         i = self.columns.index[path]
         return Dual.variable(self.columns.values[i], i, ONE, self.order)
 
-    def unit_length(self, light: int) -> Dual:
-        """1, the length of light number `light`'s rounded unit vector: an input beyond those of the case.
-
-        Where L + V almost cancels, its rounding turns the sum by what no rounding of the other inputs need do.
-        """
-        return Dual.variable(ONE, len(self.columns.paths) + light, ONE, self.order)
-
     def vector(self, *path: str | int) -> Vector:
         """Three inputs."""
         return self.number(*path, 0), self.number(*path, 1), self.number(*path, 2)
@@ -102,8 +95,7 @@ class FastTape:
         positive = np.broadcast_to(margin > 0, (self.columns.count,))
         if self.ulps is None:
             return positive
-        own = range(len(self.ulps))
-        reach = sum((np.abs(slope) * self.ulps[i] for i, slope in slopes.items() if i in own), start=WIDE(0))
+        reach = sum((np.abs(slope) * self.ulps[i] for i, slope in slopes.items()), start=WIDE(0))
         if rounding:
             reach = reach + self.ulp_of_one
         with np.errstate(all="ignore"):

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from .elementary import exp, exp2_fast, log2_fast, log_of_alignment, ratio
-from .vectors import Vector, dot, half_vector, inverse_length_in_range
+from .vectors import Vector, cross, dot, half_vector, inverse_length_in_range
 
 
 class Highlight(NamedTuple):
@@ -43,41 +43,50 @@ AWAY = 1.0
 """Stands for any N . H <= 0; a true alignment is at most 3/4."""
 
 
-def aligned(n: Vector, l: Vector, v: Vector) -> Array:
-    """`alignment` of n with the half vector of l and v."""
-    half = half_vector(l, v)
-    # 1 / |H| here, and not in a stage before: near L = -V another rounding of L has another length of H.
-    return alignment(n, half, inverse_length_in_range(half))
-
-
 @jax.custom_jvp
-def alignment(n: Vector, h: Vector, inverse: Array) -> Array:
-    """N . H for unit n, H = h / |h| and `inverse` = 1 / |h| (0 for h = 0); N . H - 1 where that is above -1/4.
+def aligned(n: Vector, l: Vector, v: Vector) -> Array:
+    """N . H for unit n, l and v (undefined ones are 0); N . H - 1 where that is above -1/4.
 
     Close to N = H the dot product has no digits of the angle left, and an exponent of 128 would show it: there
     1 - N . H is taken from the difference, |N - H|^2 / 2. Where N . H <= 0: AWAY, with derivative 0.
     """
-    towards = h.scaled(inverse)
+    towards, _ = _towards_half(l, v)
     difference = n - towards
     cosine, versine = dot(n, towards), 0.5 * dot(difference, difference)
     return jnp.where(cosine > 0, jnp.where(versine < 0.25, -versine, cosine), AWAY)
 
 
-@alignment.defjvp
-def _alignment_jvp(primals, tangents):
-    """d(n . h / |h|) = (n - H (n . H)) . dh / |h| + H . dn. The change of `inverse` is part of that.
+def _towards_half(l: Vector, v: Vector) -> tuple[Vector, Array]:
+    """H and 1 / |l + v|."""
+    half = half_vector(l, v)
+    # 1 / |l + v| here, and not in a stage before: near l = -v another rounding of l has another length of the sum.
+    inverse = inverse_length_in_range(half)
+    return half.scaled(inverse), inverse
 
-    Near the peak n - H (n . H) is taken as D - H (D . H) with D = n - H: rounded lengths of n and H would otherwise
-    leave a part along H, as large as the angle between them.
+
+@aligned.defjvp
+def _aligned_jvp(primals, tangents):
+    """d(N . H) = H . dn + N . dH with dH the part of d(l + v) / |l + v| at right angles to H.
+
+    Near the peak, N - H stands for N: rounded lengths of both would otherwise leave a part along H, as large as the
+    angle between them. Where l and v point apart, dH is put together from its parts along l - v and l x v. The first is
+    -H . d(l - v) / |l - v|, as H . (l - v) = 0: it has nothing to do with the large 1 / |l + v|.
     """
-    (n, h, inverse), (dn, dh, _) = primals, tangents
-    value = alignment(n, h, inverse)
-    towards = h.scaled(inverse)
-    near = jnp.where(value <= 0, 1.0, 0.0)
-    base = n - towards.scaled(near)
-    across = base - towards.scaled(dot(base, towards))
-    change = dot(across.scaled(inverse), dh) + dot(towards, dn)
-    return value, jnp.where(value == AWAY, 0.0, change)
+    (n, l, v), (dn, dl, dv) = primals, tangents
+    value = aligned(n, l, v)
+    towards, inverse = _towards_half(l, v)
+    base = n - towards.scaled(jnp.where(value <= 0, 1.0, 0.0))
+    apart = l - v
+    side, squared = cross(towards, apart), dot(apart, apart)
+    opposite = squared > 3
+    share = jnp.where(opposite, 1.0 / jnp.maximum(squared, 1.0), 0.0)
+    own = jnp.where(opposite, 0.0, inverse)
+    across = (
+        base.scaled(own) - towards.scaled(own * dot(base, towards)) + side.scaled((share * inverse) * dot(base, side))
+    )
+    along = towards.scaled(share * dot(base, apart))
+    turned = dot(across - along, dl) + dot(across + along, dv)
+    return value, jnp.where(value == AWAY, 0.0, turned + dot(towards, dn))
 
 
 @jax.custom_jvp
