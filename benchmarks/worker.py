@@ -9,6 +9,7 @@ import json
 import os
 import sys
 import time
+from collections.abc import Sequence
 from typing import Any
 
 
@@ -91,11 +92,16 @@ class Cases:
         return {}
 
 
+def pin(cores: Sequence[int]) -> None:
+    """Keeps this process on these cores; none, or a system that cannot: wherever it likes."""
+    if cores and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, cores)
+
+
 def main() -> None:
     """Reads the entrant and the cores from the command line, then serves."""
     settings = json.loads(sys.argv[1])
-    if settings["cores"] and hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, settings["cores"])
+    pin(settings["cores"])
     from .entrants import Entrant
 
     replies = os.fdopen(os.dup(1), "w")

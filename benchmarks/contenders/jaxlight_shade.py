@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlight.lighting import LightingOptions, make_plan, shade_tiles
+from jaxlight.lighting import LightingOptions, Plan, make_plan, shade_tiles
+from jaxlight.lighting.registers import WIDE
 from jaxlight.raster import SampleBuffer
 from jaxlight.scene import Scene, nodes
 
@@ -110,25 +111,40 @@ class JaxlightShade(Contender):
         self._weight = None if slots == work.samples else jnp.asarray(weight, self._target.dtype)
 
     def prepare(self, operation: Operation) -> Run:
-        wanted = operation == "value_and_gradient"
-        plan = make_plan(self._scene, self._samples, self._options, free=True if wanted or not self._skip else ())
-        if not wanted:
-            # Called as a user does, outside jit: the library compiles for itself, here.
-            def run() -> Any:
-                return jax.block_until_ready(shade_tiles(self._scene, self._samples, plan=plan))
+        if operation == "value_and_gradient":
+            return self.compiled(operation)[0]
+        plan = self._plan(operation)
 
-            run()
-            return run
+        # Called as a user does, outside jit: the library compiles for itself, here.
+        def run() -> Any:
+            return jax.block_until_ready(shade_tiles(self._scene, self._samples, plan=plan))
 
+        run()
+        return run
+
+    def _plan(self, operation: Operation) -> Plan:
+        free = operation == "value_and_gradient" or not self._skip
+        return make_plan(self._scene, self._samples, self._options, free=True if free else ())
+
+    def compiled(self, operation: Operation) -> tuple[Run, str]:
+        """The operation compiled by a jit of its own, and the program that came out."""
+        plan = self._plan(operation)
         free, fixed = eqx.partition(self._scene, eqx.is_inexact_array)
 
         def loss(free: Scene, fixed: Scene, samples: SampleBuffer, target: Any, weight: Any) -> Any:
             squared = (shade_tiles(eqx.combine(free, fixed), samples, plan=plan)[:, :3] - target) ** 2
             return jnp.sum(squared if weight is None else squared * weight)
 
-        arguments = (free, fixed, self._samples, self._target, self._weight)
-        compiled_gradient = jax.jit(jax.value_and_grad(loss)).lower(*arguments).compile()
-        return lambda: jax.block_until_ready(compiled_gradient(*arguments))
+        def colors(scene: Scene, samples: SampleBuffer) -> Any:
+            return shade_tiles(scene, samples, plan=plan)
+
+        if operation == "forward":
+            arguments: tuple[Any, ...] = (self._scene, self._samples)
+            program = jax.jit(colors, compiler_options=WIDE).lower(*arguments).compile()
+        else:
+            arguments = (free, fixed, self._samples, self._target, self._weight)
+            program = jax.jit(jax.value_and_grad(loss)).lower(*arguments).compile()
+        return lambda: jax.block_until_ready(program(*arguments)), program.as_text() or ""
 
     def colors(self, result: Any) -> np.ndarray:
         return np.asarray(self._samples.rows_in_sample_order(result)).T[:3]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +32,30 @@ class Highlight(NamedTuple):
 def highlight_of(accuracy: Literal["full", "fast"]) -> Highlight:
     """The form for `LightingOptions.accuracy`."""
     return FULL if accuracy == "full" else FAST
+
+
+def _highlight(
+    alignment: Callable[[Vector, Vector, Vector], Array],
+    power: Callable[[Array, Array], Array],
+    change: Callable[..., Array],
+) -> Highlight:
+    """With the change of the power as `change`(power, alignment, exponent, and the changes of the latter two)."""
+
+    @jax.custom_jvp
+    def known(value: Array, alignment: Array, exponent: Array) -> Array:
+        return value
+
+    def of_power(primals: Any, tangents: Any) -> tuple[Array, Array]:
+        value = own(*primals)
+        return value, change(value, *primals, *tangents)
+
+    def of_known(primals: Any, tangents: Any) -> tuple[Array, Array]:
+        return primals[0], change(*primals, *tangents[1:])
+
+    own = jax.custom_jvp(power)
+    own.defjvp(of_power)
+    known.defjvp(of_known)
+    return Highlight(alignment, own, known)
 
 
 _STEEPEST = 2.0**24
@@ -89,27 +113,10 @@ def _aligned_jvp(primals, tangents):
     return value, jnp.where(value == AWAY, 0.0, turned + dot(towards, dn))
 
 
-@jax.custom_jvp
-def power(alignment: Array, exponent: Array) -> Array:
+def _power(alignment: Array, exponent: Array) -> Array:
     """(N . H)^exponent from `alignment`, with derivative 0 where N . H <= 0."""
     value = exp(exponent * log_of_alignment(alignment))
     return jnp.where(alignment == AWAY, jnp.where(exponent == 0, 1.0, 0.0), value)
-
-
-@jax.custom_jvp
-def _known_power(power: Array, alignment: Array, exponent: Array) -> Array:
-    return power
-
-
-@power.defjvp
-def _power_jvp(primals, tangents):
-    value = power(*primals)
-    return value, _power_change(value, *primals, *tangents)
-
-
-@_known_power.defjvp
-def _known_power_jvp(primals, tangents):
-    return primals[0], _power_change(*primals, *tangents[1:])
 
 
 def _power_change(power: Array, x: Array, exponent: Array, dx: Array, d_exponent: Array) -> Array:
@@ -125,7 +132,7 @@ def _power_change(power: Array, x: Array, exponent: Array, dx: Array, d_exponent
     return jnp.where(faces, change, 0.0)
 
 
-FULL = Highlight(aligned, power, _known_power)
+FULL = _highlight(aligned, _power, _power_change)
 
 # --- fast: fewer operations ------------------------------------------------------------------------------------------
 
@@ -138,27 +145,10 @@ def squared_cosine(n: Vector, l: Vector, v: Vector) -> Array:
     return jnp.where(faces, ratio(cosine * cosine, jnp.where(faces, dot(half, half), 1.0)), 0.0)
 
 
-@jax.custom_jvp
-def power_of_squared(squared: Array, exponent: Array) -> Array:
+def _power_of_squared(squared: Array, exponent: Array) -> Array:
     """`squared`^(exponent / 2)"""
     value = exp2_fast((0.5 * exponent) * log2_fast(jnp.where(squared > 0, squared, 1.0)))
     return jnp.where(squared > 0, value, jnp.where(exponent == 0, 1.0, 0.0))
-
-
-@jax.custom_jvp
-def _known_power_of_squared(power: Array, squared: Array, exponent: Array) -> Array:
-    return power
-
-
-@power_of_squared.defjvp
-def _power_of_squared_jvp(primals, tangents):
-    value = power_of_squared(*primals)
-    return value, _power_of_squared_change(value, *primals, *tangents)
-
-
-@_known_power_of_squared.defjvp
-def _known_power_of_squared_jvp(primals, tangents):
-    return primals[0], _power_of_squared_change(*primals, *tangents[1:])
 
 
 def _power_of_squared_change(power: Array, squared: Array, exponent: Array, d_squared: Array, d_exponent: Array):
@@ -170,4 +160,4 @@ def _power_of_squared_change(power: Array, squared: Array, exponent: Array, d_sq
     return jnp.where(faces, change, 0.0)
 
 
-FAST = Highlight(squared_cosine, power_of_squared, _known_power_of_squared)
+FAST = _highlight(squared_cosine, _power_of_squared, _power_of_squared_change)

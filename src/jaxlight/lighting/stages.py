@@ -3,6 +3,8 @@
 Left alone, XLA fuses a tile's whole expression, and the slice that cuts the tile out of the buffer, into loops that it
 evaluates element by element, several times over. It drops `lax.optimization_barrier` before it fuses, but never
 moves work across a conditional whose predicate it cannot know. A stage with one result is one loop.
+
+Profiles know a stage by the name of its function (`jax.named_scope`).
 """
 
 from __future__ import annotations
@@ -26,13 +28,14 @@ class Stage(eqx.Module):
     forward: bool = eqx.field(static=True, default=False)
     """Whether derivatives are only taken in forward mode, where none are summed over samples."""
 
-    def __call__(self, function: Callable[[], Any]) -> Any:
-        """function(), a stage of its own."""
+    def __call__(self, function: Callable[[], Any], name: str = "") -> Any:
+        """function(), a stage of its own; `name` (default: the function's) is for profiles."""
 
         def never() -> Any:
             return jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(function))
 
-        return lax.cond(self.always, function, never)
+        with jax.named_scope(f"stage.{name or _name(function)}"):
+            return lax.cond(self.always, function, never)
 
     def each(
         self, function: Callable[..., Any], *operands: Any, derived: tuple[Any, ...] = (), wide: tuple[int, ...] = ()
@@ -56,10 +59,11 @@ def _each(
     how: tuple[Callable[..., Any], tuple[int, ...]], stage: Stage, operands: tuple[Any, ...], derived: tuple[Any, ...]
 ) -> Any:
     function, _ = how
-    results, tree = jax.tree.flatten(jax.eval_shape(function, *operands, *derived))
+    results, tree = jax.tree_util.tree_flatten_with_path(jax.eval_shape(function, *operands, *derived))
 
     def result(number: int) -> Array:
-        return stage(lambda: jax.tree.leaves(function(*operands, *derived))[number])
+        name = _name(function) + jax.tree_util.keystr(results[number][0])
+        return stage(lambda: jax.tree.leaves(function(*operands, *derived))[number], name)
 
     return tree.unflatten([result(number) for number in range(len(results))])
 
@@ -92,10 +96,16 @@ def _each_jvp(how: tuple[Callable[..., Any], tuple[int, ...]], primals: Any, tan
 
         return jax.jvp(of_moving, [widened(number, leaves[number]) for number in moving], directions)[1]
 
-    return results, stage(lambda: change(leaves, derived, directions))
+    return results, stage(lambda: change(leaves, derived, directions), f"{_name(function)}.change")
 
 
 _each.defjvp(_each_jvp, symbolic_zeros=True)
+
+
+def _name(function: Callable[..., Any]) -> str:
+    """The name of the function, or of the one around a lambda."""
+    names = getattr(function, "func", function).__qualname__.removesuffix(".<locals>.<lambda>")
+    return names.rsplit(".", 1)[-1].lstrip("_")
 
 
 def _is_zero(value: Any) -> bool:

@@ -133,11 +133,11 @@ def tile_color(
         return mine.reshape(planes.shape[1], -1, lanes).astype(dtype)
 
     def vector(planes: Array) -> Vector:
-        return Vector(*(stage(lambda i=i: of_tiles(planes[:, i : i + 1])[0]) for i in range(3)))
+        return Vector(*(stage(lambda i=i: of_tiles(planes[:, i : i + 1])[0], "read") for i in range(3)))
 
     def cut(planes: Array, kind: jnp.dtype = dtype) -> Array:
         """The tiles' part of planes [components, slots], [components, rows, lanes]."""
-        return stage(lambda: tile_of(planes, index, tile).astype(kind).reshape(planes.shape[0], -1, lanes))
+        return stage(lambda: tile_of(planes, index, tile).astype(kind).reshape(planes.shape[0], -1, lanes), "read")
 
     def bounds(planes: Array, reduce: Callable[..., Array]) -> Array:
         return reduce(lax.dynamic_slice_in_dim(planes, first, count, axis=1), axis=1).astype(dtype)
@@ -147,7 +147,7 @@ def tile_color(
     material = material_row(prepared, surface, row, run.single)
     vertex_color = texel = None
     if surface.color_components and samples.color_planes is not None:
-        vertex_color = stage(partial(of_tiles, samples.color_planes))
+        vertex_color = stage(partial(of_tiles, samples.color_planes), "read")
     index_planes, weight_planes = samples.texel_index, samples.texel_weight
     if (
         surface.texture >= 0

@@ -1,0 +1,117 @@
+"""Where the time goes: the loops of one call, by stage of the equation. `python -m benchmarks.profile --help`.
+
+XLA's own trace, on one core; loops are told by the scopes that `lighting/stages.py` gives them. What is in no stage
+goes by the operation it ends with.
+"""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import gzip
+import json
+import re
+import statistics
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from .contenders.base import Operation
+from .report import conditions, save, table
+from .settings import Settings
+from .worker import pin
+from .workload import Workload, make_arrays
+
+_CONTROL = re.compile(r"^(while|conditional|call|Thunk|end:|\$)")
+"""Events that only hold others."""
+_INSTRUCTION = re.compile(r'^\s*(?:ROOT )?%?([\w.\-]+) = [^\n]*op_name="([^"]*)"', re.MULTILINE)
+_SHOWN = 0.01
+"""Smaller shares are added up."""
+
+
+@dataclasses.dataclass
+class Options(Settings):
+    """Shares of the stages in a forward pass and in value-and-gradient."""
+
+    lights: tuple[int, ...] = (1, 8, 64)
+    samples: int = 2**17
+    accuracy: str = "full"
+    """Of highlights."""
+
+
+def main() -> int:
+    """Measures, prints and saves; the exit status."""
+    options = tyro.cli(Options, description=__doc__)
+    plan = options.plan(memory=False)
+    pin(plan.cores)  # before JAX counts the cores
+    parts = ["# Where the time goes", conditions(plan)]
+    operations: tuple[Operation, ...] = ("forward", "value_and_gradient")
+    for operation in operations:
+        for lights in options.lights:
+            work = Workload(2**14 if options.quick else options.samples, lights)
+            shares, nanoseconds = _profile(work, operation, options.accuracy, plan.rounds)
+            parts.append(f"**{operation}, {lights} lights**: {nanoseconds:.3g} ns per sample and light in loops")
+            parts.append(table(["stage", "share", "loops"], _rows(shares)))
+    text = "\n\n".join(parts)
+    print(text)
+    save(options.output, "profile", text, None, [])
+    return 0
+
+
+def _profile(
+    work: Workload, operation: Operation, accuracy: str, rounds: int
+) -> tuple[Mapping[str, tuple[float, int]], float]:
+    """Of every stage its share and number of loops; and the time of all, ns per sample and light."""
+    from .contenders.jaxlight_shade import JaxlightShade
+
+    contender = JaxlightShade(work, make_arrays(work), lighting=(("accuracy", accuracy),))
+    call, program = contender.compiled(operation)
+    call()
+    durations = _durations(lambda: [call() for _ in range(rounds)])
+    names = dict(_INSTRUCTION.findall(program))
+    times: dict[str, float] = collections.defaultdict(float)
+    loops: dict[str, int] = collections.defaultdict(int)
+    for instruction, own in durations.items():
+        if instruction in names and not _CONTROL.match(instruction):
+            # The median: a core that does something else in between is no part of it.
+            times[_stage(names[instruction])] += statistics.median(own) * len(own) / rounds
+            loops[_stage(names[instruction])] += 1
+    total = sum(times.values())
+    return {name: (time / total, loops[name]) for name, time in times.items()}, 1e3 * total / work.light_samples
+
+
+def _durations(run: Callable[[], Any]) -> Mapping[str, list[float]]:
+    """How long every event took, each time, in microseconds."""
+    import jax
+
+    found = collections.defaultdict(list)
+    with tempfile.TemporaryDirectory() as folder:
+        with jax.profiler.trace(folder, create_perfetto_trace=True):
+            run()
+        (path,) = Path(folder).rglob("perfetto_trace.json.gz")
+        for event in json.loads(gzip.decompress(path.read_bytes()))["traceEvents"]:
+            if event.get("ph") == "X":
+                found[event["name"]].append(event["dur"])
+    return found
+
+
+def _stage(name: str) -> str:
+    scopes = re.findall(r"stage\.([\w.\[\]]+)", name)
+    if scopes:
+        return scopes[-1] + (" (reverse)" if "transpose(" in name else "")
+    return "no stage: " + name.rsplit("/", 1)[-1]
+
+
+def _rows(shares: Mapping[str, tuple[float, int]]) -> list[list[Any]]:
+    ordered = sorted(shares.items(), key=lambda item: -item[1][0])
+    rows = [[name, f"{100 * share:.1f} %", count] for name, (share, count) in ordered if share >= _SHOWN]
+    rest = [pair for _, pair in ordered if pair[0] < _SHOWN]
+    return [*rows, ["all others", f"{100 * sum(s for s, _ in rest):.1f} %", sum(n for _, n in rest)]]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
