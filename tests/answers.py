@@ -54,18 +54,21 @@ def derivatives_with_rounding(
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """`derivatives`, and by how much those by or in frames may be off because of how they are had, [P, 4] too.
 
-    jaxlight holds a frame and its inverse M, and gives the derivatives F and G by both; that by the frame is
-    F - M^T G M^T, and that by a location the frame times that by its place in the world; terms cancel in both. Each
-    number of F and G is allowed one ulp.
+    jaxlight holds a frame and its inverse M. Reverse mode gives the derivatives F and G by both; that by the frame is
+    had here, F - M^T G M^T; in forward mode the inverse moves with the frame. That by a location is the frame times
+    that by its place in the world. Terms cancel in both; each number of F and G is allowed one ulp, in either mode, and
+    the rounding of M.
     """
     out: list[np.ndarray] = [np.zeros((0, 4))] * len(cases)
     rounding = out.copy()
     for group in groups(cases, chunk):
         scene, samples = inputs(group, dtype, chunk)
         found = stacked(mode, scene, samples, group.plan)
-        both = by_path(found, group, scene), np.finfo(dtype).eps * by_path(found, group, scene, sizes=True)
-        for i, derivative, size in zip(group.index, *both, strict=True):
-            out[i], rounding[i] = derivative, size
+        derivative = by_path(found, group, scene, mode)
+        by_both = stacked("reverse", scene, samples, group.plan) if mode == "forward" else found
+        allowed = np.finfo(dtype).eps * by_path(by_both, group, scene, "reverse", sizes=True)
+        for row, i in enumerate(group.index):
+            out[i], rounding[i] = derivative[row], allowed[row]
     return out, rounding
 
 
@@ -120,6 +123,11 @@ def stacked(mode: Mode, scene: Scene, samples: SampleBuffer, plan: Plan) -> tupl
         point = (scene, taken(samples))
         return jax.jvp(derivative, (point,), (steps(point),))[1] if mode == "second" else derivative(point)
 
+    def color_of_inputs(point: tuple[Scene, SampleBuffer], samples: SampleBuffer, plan: Plan) -> jax.Array:
+        own = with_inverses(point[0]) if mode == "forward" else point[0]
+        own_samples = {name: getattr(point[1], name) for name in DIFFERENTIATED}
+        return color_of_one(own, dataclasses.replace(samples, **own_samples), plan)
+
     return mapped(of_one, scene, samples)
 
 
@@ -149,12 +157,29 @@ def steps(point: tuple[Scene, SampleBuffer]) -> tuple[Scene, SampleBuffer]:
     return jax.tree_util.tree_map_with_path(step, point)
 
 
-def color_of_inputs(scene_and_own: tuple[Scene, SampleBuffer], samples: SampleBuffer, plan: Plan) -> jax.Array:
-    """Colour and alpha [4], with what is differentiated in the first argument."""
-    scene, own = scene_and_own
-    return color_of_one(
-        scene, dataclasses.replace(samples, **{name: getattr(own, name) for name in DIFFERENTIATED}), plan
-    )
+def with_inverses(scene: Scene) -> Scene:
+    """The scene with inverses of frames that move with them; of the fog's, only the inverse is there to be moved."""
+
+    def of_lights(lights: Any) -> Any:
+        if not hasattr(lights, "to_local"):
+            return lights
+        return dataclasses.replace(lights, to_local=_moving_inverse(lights.to_world[..., :3], lights.to_local))
+
+    fog = scene.fog
+    if fog is not None:
+        fog = dataclasses.replace(fog, to_local=_moving_inverse(fog.to_local, fog.to_local))
+    kinds = {kind: of_lights(getattr(scene, kind)) for kind in ("point", "spot")}
+    return dataclasses.replace(scene, fog=fog, **kinds)
+
+
+@jax.custom_jvp
+def _moving_inverse(frame: jax.Array, inverse: jax.Array) -> jax.Array:
+    return inverse
+
+
+@_moving_inverse.defjvp
+def _moving_inverse_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    return primals[1], -primals[1] @ tangents[0] @ primals[1]
 
 
 def taken(samples: SampleBuffer) -> SampleBuffer:
@@ -176,7 +201,9 @@ def mapped(function: Callable[[Scene, SampleBuffer], Any], scene: Scene, samples
     return jax.vmap(of_one, in_axes=(0, 0, None, None))(scene, samples, first, surface[0])
 
 
-def by_path(derivatives: tuple[Scene, SampleBuffer], group: Group, scene: Scene, *, sizes: bool = False) -> np.ndarray:
+def by_path(
+    derivatives: tuple[Scene, SampleBuffer], group: Group, scene: Scene, mode: Mode, *, sizes: bool = False
+) -> np.ndarray:
     """Derivatives as float64 [cases, P, 4], in the order of the group's paths.
 
     `sizes`: instead, of those by frames and by locations in frames the sizes of what is added up, and 0 of all others.
@@ -206,6 +233,8 @@ def by_path(derivatives: tuple[Scene, SampleBuffer], group: Group, scene: Scene,
                 return getattr(of_scene.materials, name)[(..., 0, *k)]
             case ("lights", i, "frame", r, c):
                 kind, row = rows[i]
+                if mode == "forward":
+                    return getattr(of_scene, kind).to_world[..., row, r, c]
                 return _by_frame(getattr(of_scene, kind), getattr(scene, kind), row, count, sizes)[..., r, c]
             case ("lights", i, name, *k):
                 kind, row = rows[i]
@@ -213,6 +242,8 @@ def by_path(derivatives: tuple[Scene, SampleBuffer], group: Group, scene: Scene,
             case ("fog", "frame", r, c):
                 if c == 3:
                     return np.zeros((count, 4))
+                if mode == "forward":
+                    return of_scene.fog.to_local[..., r, c]
                 return _through_inverse(of_scene.fog.to_local, scene.fog.to_local[:count], sizes)[..., r, c]
             case ("fog", name, *k):
                 return getattr(of_scene.fog, name)[(..., *k)]
