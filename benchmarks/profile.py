@@ -26,7 +26,7 @@ from .settings import Settings
 from .worker import pin
 from .workload import Workload, make_arrays
 
-_CONTROL = re.compile(r"^(while|conditional|call|Thunk|end:|\$)")
+_CONTROL = re.compile(r"^(while|cond|call|closed_call|Thunk|end:|\$)")
 """Events that only hold others."""
 _INSTRUCTION = re.compile(r'^\s*(?:ROOT )?%?([\w.\-]+) = [^\n]*op_name="([^"]*)"', re.MULTILINE)
 _SHOWN = 0.01
@@ -70,8 +70,9 @@ def _profile(
 
     contender = JaxlightShade(work, make_arrays(work), lighting=(("accuracy", accuracy),))
     call, program = contender.compiled(operation)
-    call()
-    durations = _durations(lambda: [call() for _ in range(rounds)])
+    for _ in range(rounds):
+        call()
+    durations = _durations(call, rounds)
     names = dict(_INSTRUCTION.findall(program))
     times: dict[str, float] = collections.defaultdict(float)
     loops: dict[str, int] = collections.defaultdict(int)
@@ -84,14 +85,15 @@ def _profile(
     return {name: (time / total, loops[name]) for name, time in times.items()}, 1e3 * total / work.light_samples
 
 
-def _durations(run: Callable[[], Any]) -> Mapping[str, list[float]]:
-    """How long every event took, each time, in microseconds."""
+def _durations(call: Callable[[], Any], rounds: int) -> Mapping[str, list[float]]:
+    """How long every event of so many calls took, each time, in microseconds."""
     import jax
 
     found = collections.defaultdict(list)
     with tempfile.TemporaryDirectory() as folder:
         with jax.profiler.trace(folder, create_perfetto_trace=True):
-            run()
+            for _ in range(rounds):
+                call()  # its result is let go, so that the next one finds memory that is there already
         (path,) = Path(folder).rglob("perfetto_trace.json.gz")
         for event in json.loads(gzip.decompress(path.read_bytes()))["traceEvents"]:
             if event.get("ph") == "X":
