@@ -53,7 +53,7 @@ def main() -> int:
     for operation in operations:
         for lights in options.lights:
             work = Workload(2**14 if options.quick else options.samples, lights)
-            shares, nanoseconds = _profile(work, operation, options.accuracy, plan.rounds)
+            shares, nanoseconds = stage_shares(work, operation, options.accuracy, plan.rounds)
             parts.append(f"**{operation}, {lights} lights**: {nanoseconds:.3g} ns per sample and light in loops")
             parts.append(table(["stage", "share", "loops"], _rows(shares)))
     text = "\n\n".join(parts)
@@ -62,7 +62,7 @@ def main() -> int:
     return 0
 
 
-def _profile(
+def stage_shares(
     work: Workload, operation: Operation, accuracy: str, rounds: int
 ) -> tuple[Mapping[str, tuple[float, int]], float]:
     """Of every stage its share and number of loops; and the time of all, ns per sample and light."""

@@ -16,6 +16,7 @@ from benchmarks.entrants import PEERS, Entrant
 from benchmarks.errors import color_errors, gradient_errors
 from benchmarks.fits import ENTRANTS as FITS
 from benchmarks.harness import Case, Plan, measure
+from benchmarks.profile import stage_shares
 from benchmarks.reference import answer
 from benchmarks.workload import Arrays, Workload, make_arrays
 
@@ -194,3 +195,10 @@ def test_fits_start_away_from_the_truth_and_are_judged_by_it() -> None:
     assert parameter_errors(start, arrays.parameters).largest > 0.3
     assert parameter_errors({name: arrays.parameters[name] for name in FREE}, arrays.parameters).largest == 0
     assert {entrant.label for entrant, _ in FITS} >= {"jaxlight", "optimistix LM, naive JAX"}
+
+
+def test_a_profile_tells_stages_apart() -> None:
+    shares, nanoseconds = stage_shares(Workload(2**13, 1), "forward", "full", rounds=3)
+    assert {"read", "seen.alignment", "power", "rgb"} <= set(shares)
+    assert sum(share for share, _ in shares.values()) == pytest.approx(1)
+    assert nanoseconds > 0 and all(loops > 0 for _, loops in shares.values())

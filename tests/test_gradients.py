@@ -85,7 +85,7 @@ def test_every_field(name: str, mode: Mode) -> None:
     with jax.enable_x64(True):
         (group,) = groups([case])
         scene, samples = inputs(group, np.float64, chunk=1)
-        (got,) = by_path(stacked(mode, scene, samples, group.plan), group, scene)
+        (got,) = by_path(stacked(mode, scene, samples, group.plan), group, scene, mode)
     wanted = np.stack([central_difference(case, path) for path in group.paths])
     np.testing.assert_allclose(got, wanted, rtol=TOLERANCE, atol=TOLERANCE)
     # Every field but the radius matters, so that a derivative of 0 is no answer.

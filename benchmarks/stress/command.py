@@ -87,8 +87,8 @@ def report(seed: int, options: Stress, tables: list[Table], seconds: float) -> s
         parts.append(f"**{one.precision}, {_title(one.quantity)}**")
         parts.append(table(HEADER, [row.cells() for row in one.rows.values()]))
         if one.by_field:
-            rows = [[name, int(count), worst] for name, (worst, count) in sorted(one.by_field.items())]
-            parts.append(table(("derivative by", "cases", "worst / condition"), rows))
+            rows = [[name, int(count), worst, int(own)] for name, (worst, count, own) in sorted(one.by_field.items())]
+            parts.append(table(("derivative by", "cases", "worst / condition", "by allowance"), rows))
     violations = [line for one in tables for line in one.violations()]
     parts.append("\n".join(f"- VIOLATED: {line}" for line in violations) or "All figures hold.")
     return "\n\n".join(parts)
@@ -116,4 +116,4 @@ def _add(target: Table, kind: Kind, block: Block, judged: Judged) -> None:
         labels = [block.cases[i].label for i in own]
         target.row(name).add(labels, judged.ulp[own], judged.relative[own], judged.finite[own])
     for name, errors in judged.by_field.items():
-        target.add_field(name, float(np.max(errors, initial=0.0)), len(errors))
+        target.add_field(name, float(np.max(errors, initial=0.0)), len(errors), judged.by_allowance[name])

@@ -72,22 +72,22 @@ class Table:
     quantity: str
     rows: dict[str, Row] = field(default_factory=dict)
     by_field: dict[str, list[float]] = field(default_factory=dict)
-    """Worst error in ulp / condition and number of cases, by input."""
+    """Worst error in ulp / condition, number of cases, and of errors within the limit by allowance only, by input."""
 
     def row(self, name: str) -> Row:
         """The row of this name, new if need be."""
         return self.rows.setdefault(name, Row(name))
 
-    def add_field(self, name: str, worst: float, count: float) -> None:
+    def add_field(self, name: str, worst: float, count: float, by_allowance: float) -> None:
         """More cases that have this input."""
-        known, before = self.by_field.get(name, [0.0, 0])
-        self.by_field[name] = [max(known, worst), before + count]
+        known, before, allowed = self.by_field.get(name, [0.0, 0, 0])
+        self.by_field[name] = [max(known, worst), before + count, allowed + by_allowance]
 
     def merge(self, other: Table) -> None:
         """Another table of the same quantity, of cases of another sort."""
         self.rows |= other.rows
-        for name, (worst, count) in other.by_field.items():
-            self.add_field(name, worst, count)
+        for name, values in other.by_field.items():
+            self.add_field(name, *values)
 
     def violations(self) -> list[str]:
         """The figures that do not hold, a sentence each."""

@@ -45,6 +45,8 @@ class Judged:
     """[N] whether every number is."""
     by_field: dict[str, np.ndarray]
     """Derivatives: by input (`lights.location`), the errors in ulp / condition of the cases that have it."""
+    by_allowance: dict[str, int]
+    """Derivatives: by input, how many errors would be too large but for what frames are allowed."""
 
 
 class Block:
@@ -75,6 +77,7 @@ class Block:
             relative=np.where(asked, relative.max(axis=1), np.nan).astype(np.float64),
             finite=np.isfinite(computed).all(axis=1),
             by_field={},
+            by_allowance={},
         )
 
     def judge_derivatives(self, mode: answers.Mode) -> Judged:
@@ -82,7 +85,7 @@ class Block:
         count = len(self.cases)
         with jax.enable_x64(self.precision == "float64"):
             computed, rounding = answers.derivatives_with_rounding(self.cases, self.dtype, mode)
-        judged = Judged(np.full(count, np.nan), np.full(count, np.nan), np.ones(count, dtype=bool), {})
+        judged = _unjudged(count)
         for exact in self.derivatives:
             own = np.array([computed[i] for i in exact.index])
             judged.finite[exact.index] = np.isfinite(own).all(axis=(1, 2))
@@ -99,7 +102,7 @@ class Block:
         cases, bits = self.cases[:count], BITS[self.precision]
         with jax.enable_x64(self.precision == "float64"):
             computed = answers.derivatives(cases, self.dtype, "second")
-        judged = Judged(np.full(len(cases), np.nan), np.full(len(cases), np.nan), np.ones(len(cases), dtype=bool), {})
+        judged = _unjudged(len(cases))
         for exact in fast_exact.second_derivatives(cases, answers.direction, bits):
             own = np.array([computed[i] for i in exact.index])
             judged.finite[exact.index] = np.isfinite(own).all(axis=(1, 2))
@@ -137,7 +140,11 @@ class Block:
             relative[row] = np.where(np.isnan(relative[row]), np.nan, settled)
         judged.ulp[exact.index] = _worst(ulp.reshape(len(ulp), -1))
         judged.relative[exact.index] = _worst(relative.reshape(len(ulp), -1))
+        with np.errstate(invalid="ignore"):
+            strict = exact.error_in_ulp(computed, BITS[self.precision]) / exact.condition > LIMITS["reverse"]
+            leaning = np.sum(strict & (rounding > 0) & (relative <= LIMITS["reverse"]), axis=(0, 2))
         for i, path in enumerate(exact.paths):
+            judged.by_allowance[field(path)] = judged.by_allowance.get(field(path), 0) + int(leaning[i])
             errors = _worst(relative[:, i])
             known = judged.by_field.get(field(path), np.zeros(0))
             judged.by_field[field(path)] = np.concatenate([known, errors[~np.isnan(errors)]])
@@ -155,6 +162,10 @@ class Block:
                 ulp = least if largest < least else float(output_ulp(largest, bits))
                 out[i, c] = max(0.0, float(off / mpf(ulp))) / condition[c]
         return out
+
+
+def _unjudged(count: int) -> Judged:
+    return Judged(np.full(count, np.nan), np.full(count, np.nan), np.ones(count, dtype=bool), {}, {})
 
 
 def _has_subnormals(case: Case, dtype: np.dtype) -> bool:

@@ -231,5 +231,6 @@ def _received_from_all(of: Callable[[WorldLights], Received], lights: WorldLight
     chunks = in_chunks(lights, -(-lights.count // count))  # all about as long: what is missing is filled up with black
     first = jax.eval_shape(of, jax.tree.map(lambda leaf: leaf[0], chunks))
     dark = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), first)
-    total, _ = lax.scan(lambda total, some: (total + of(some), None), dark, chunks)
+    # Checkpoint: what derivatives need of a chunk is computed anew, and never stored for all chunks.
+    total, _ = lax.scan(lambda total, some: (total + jax.checkpoint(of)(some), None), dark, chunks)
     return total
