@@ -119,6 +119,15 @@ def test_the_slope_of_a_grazing_highlight() -> None:
     assert errors[0, exact.paths.index(("sample", "position", 0))].max() <= 2 * DERIVATIVES
 
 
+@pytest.mark.parametrize("size", [1e-35, 1e-34, 1e-31, 1.0, 1e37])
+def test_the_length_of_a_tiny_vector_counts_its_small_components(size: float) -> None:
+    """Their products with the unit vector underflow, while the length has room for them."""
+    x, y, z = (np.float32(size * part) for part in (-0.0097, 0.996, -0.085))
+    _, length = unit(Vector(jnp.float32(x), jnp.float32(y), jnp.float32(z)))
+    exact = np.sqrt(sum(np.longdouble(part) ** 2 for part in (x, y, z)))
+    assert abs(float(length) - exact) <= 3 * np.spacing(np.float32(exact))
+
+
 # --- the factors by themselves ----------------------------------------------------------------------------------------
 
 
@@ -157,7 +166,7 @@ def test_unit_vectors_of_any_length(size: float) -> None:
         assert length == 0 or np.isfinite(length)
         return
     exact = mp.sqrt(sum(mpf(float(part)) ** 2 for part in (x, y, z)))
-    assert ulp_apart(length, [exact]) <= (3 if size > 1e-36 else 64)
+    assert ulp_apart(length, [exact]) <= (3 if size > 1e-37 else 64)
     if size > 1e-36:
         assert ulp_apart(jnp.stack(got), [mpf(float(part)) / exact for part in (x, y, z)]) <= 2
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import NamedTuple
 
@@ -54,11 +55,17 @@ def unit(v: Vector) -> tuple[Vector, Array]:
     return normalised(v, inverse_length(v))
 
 
+_LIFT = {jnp.dtype("float32"): 2.0**64, jnp.dtype("float64"): 2.0**512}
+
+
 @jax.custom_jvp
 def normalised(v: Vector, inverse: Array) -> tuple[Vector, Array]:
     """v / |v| and |v|, given `inverse` = 1 / |v| (or 0 for the zero vector) of this very v."""
     u = v.scaled(inverse)
-    return u, dot(v, u)
+    # Of a tiny vector the products with small components of u would underflow.
+    lift = _LIFT[inverse.dtype]
+    tiny = inverse > math.sqrt(lift)
+    return u, dot(v.scaled(jnp.where(tiny, lift, 1.0)), u) * jnp.where(tiny, 1.0 / lift, 1.0)
 
 
 @normalised.defjvp
