@@ -57,7 +57,8 @@ def derivatives_with_rounding(
     jaxlight holds a frame and its inverse M. Reverse mode gives the derivatives F and G by both; that by the frame is
     had here, F - M^T G M^T; in forward mode the inverse moves with the frame. That by a location is the frame times
     that by its place in the world. Terms cancel in both; each number of F and G is allowed one ulp, in either mode, and
-    the rounding of M.
+    the rounding of M. In reverse mode one ulp of F and G is at least the smallest normal number, as everywhere: in a
+    frame that measures in units of 1e-12 those by M = 1e12 are flushed to zero.
     """
     out: list[np.ndarray] = [np.zeros((0, 4))] * len(cases)
     rounding = out.copy()
@@ -66,7 +67,9 @@ def derivatives_with_rounding(
         found = stacked(mode, scene, samples, group.plan)
         derivative = by_path(found, group, scene, mode)
         by_both = stacked("reverse", scene, samples, group.plan) if mode == "forward" else found
-        allowed = np.finfo(dtype).eps * by_path(by_both, group, scene, "reverse", sizes=True)
+        format_ = np.finfo(dtype)
+        least = 0.0 if mode == "forward" else float(format_.tiny / format_.eps)
+        allowed = format_.eps * by_path(by_both, group, scene, "reverse", sizes=least)
         for row, i in enumerate(group.index):
             out[i], rounding[i] = derivative[row], allowed[row]
     return out, rounding
@@ -202,11 +205,12 @@ def mapped(function: Callable[[Scene, SampleBuffer], Any], scene: Scene, samples
 
 
 def by_path(
-    derivatives: tuple[Scene, SampleBuffer], group: Group, scene: Scene, mode: Mode, *, sizes: bool = False
+    derivatives: tuple[Scene, SampleBuffer], group: Group, scene: Scene, mode: Mode, *, sizes: float | None = None
 ) -> np.ndarray:
     """Derivatives as float64 [cases, P, 4], in the order of the group's paths.
 
-    `sizes`: instead, of those by frames and by locations in frames the sizes of what is added up, and 0 of all others.
+    `sizes`: instead, of those by frames and by locations in frames the sizes of what is added up, and 0 of all others;
+    numbers by frames and their inverses count as at least `sizes`.
     """
     count = len(group.cases)
     of_scene, of_samples = jax.tree.map(lambda leaf: np.asarray(leaf, dtype=np.float64)[:count], derivatives)
@@ -226,7 +230,7 @@ def by_path(
         return np.zeros((count, 4))
 
     def column(path: Path) -> np.ndarray:
-        if sizes and "frame" not in path:
+        if sizes is not None and "frame" not in path:
             return by_location_sizes(path)
         match path:
             case ("material", name, *k):
@@ -268,21 +272,21 @@ def light_rows(case: Case) -> dict[int, tuple[str, int]]:
     return rows
 
 
-def _by_frame(derivative: Any, lights: Any, row: int, count: int, sizes: bool) -> np.ndarray:
+def _by_frame(derivative: Any, lights: Any, row: int, count: int, sizes: float | None) -> np.ndarray:
     """The derivative by a light's frame [cases, 4, 3, 4], from those by `to_world` and by its inverse; or its sizes."""
     whole = derivative.to_world[..., row, :, :].copy()
-    whole = np.abs(whole) if sizes else whole
+    whole = whole if sizes is None else np.maximum(np.abs(whole), sizes)
     if hasattr(derivative, "to_local"):
         whole[..., :3] += _through_inverse(derivative.to_local[..., row, :, :], lights.to_local[:count, row], sizes)
     return whole
 
 
-def _through_inverse(by_inverse: np.ndarray, inverse: Any, sizes: bool) -> np.ndarray:
+def _through_inverse(by_inverse: np.ndarray, inverse: Any, sizes: float | None) -> np.ndarray:
     """The derivative by a matrix, from that by its inverse M: -M^T G M^T; or the sizes of its terms, added up.
 
     The sizes count twice: M, too, is rounded when it is stored, by half an ulp, and stands there twice.
     """
     transposed = np.swapaxes(np.asarray(inverse, dtype=np.float64)[:, None], -1, -2)
-    if sizes:
-        return 2 * np.abs(transposed) @ np.abs(by_inverse) @ np.abs(transposed)
+    if sizes is not None:
+        return 2 * np.abs(transposed) @ np.maximum(np.abs(by_inverse), sizes) @ np.abs(transposed)
     return -transposed @ by_inverse @ transposed
