@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -23,6 +24,10 @@ class Highlight(NamedTuple):
 
     alignment: Callable[[Vector, Vector, Vector], Array]
     """What the power asks to know of N . H, for unit n, l and v."""
+    slopes: Callable[[Array, Vector, Vector, Vector], Any] | None
+    """What derivatives of `alignment` share, from it and n, l and v; None: nothing."""
+    known_alignment: Callable[[Any, Vector, Vector, Vector], Array]
+    """`alignment`, of which `slopes` are known, for its derivatives."""
     power: Callable[[Array, Array], Array]
     """(N . H)^exponent from the alignment; where N . H <= 0 it is 0^exponent: 1 for exponent 0, else 0."""
     known_power: Callable[[Array, Array, Array], Array]
@@ -34,12 +39,11 @@ def highlight_of(accuracy: Literal["full", "fast"]) -> Highlight:
     return FULL if accuracy == "full" else FAST
 
 
-def _highlight(
-    alignment: Callable[[Vector, Vector, Vector], Array],
-    power: Callable[[Array, Array], Array],
-    change: Callable[..., Array],
-) -> Highlight:
-    """With the change of the power as `change`(power, alignment, exponent, and the changes of the latter two)."""
+def _power_of(
+    power: Callable[[Array, Array], Array], change: Callable[..., Array]
+) -> tuple[Callable[[Array, Array], Array], Callable[[Array, Array, Array], Array]]:
+    """`power` and `known_power` with the change of the power as `change`(power, alignment, exponent, and the changes of
+    the latter two)."""
 
     @jax.custom_jvp
     def known(value: Array, alignment: Array, exponent: Array) -> Array:
@@ -55,7 +59,7 @@ def _highlight(
     own = jax.custom_jvp(power)
     own.defjvp(of_power)
     known.defjvp(of_known)
-    return Highlight(alignment, own, known)
+    return own, known
 
 
 _STEEPEST = 2.0**24
@@ -74,43 +78,66 @@ def aligned(n: Vector, l: Vector, v: Vector) -> Array:
     Close to N = H the dot product has no digits of the angle left, and an exponent of 128 would show it: there
     1 - N . H is taken from the difference, |N - H|^2 / 2. Where N . H <= 0: AWAY, with derivative 0.
     """
-    towards, _ = _towards_half(l, v)
+    half = half_vector(l, v)
+    # 1 / |l + v| here, and not in a stage before: near l = -v another rounding of l has another length of the sum.
+    towards = half.scaled(inverse_length_in_range(half))
     difference = n - towards
     cosine, versine = dot(n, towards), 0.5 * dot(difference, difference)
     return jnp.where(cosine > 0, jnp.where(versine < 0.25, -versine, cosine), AWAY)
 
 
-def _towards_half(l: Vector, v: Vector) -> tuple[Vector, Array]:
-    """H and 1 / |l + v|."""
-    half = half_vector(l, v)
-    # 1 / |l + v| here, and not in a stage before: near l = -v another rounding of l has another length of the sum.
-    inverse = inverse_length_in_range(half)
-    return half.scaled(inverse), inverse
+class Slopes(NamedTuple):
+    """What the derivatives of an alignment by all components of n, l and v share, and is slow to compute."""
+
+    alignment: Array
+    inverse: Array
+    """1 / |l + v|; 0 where N . H <= 0."""
+    share: Array
+    """1 / |l - v|^2 where l and v point apart, |l - v|^2 > 3; else 0."""
 
 
-@aligned.defjvp
-def _aligned_jvp(primals, tangents):
+def _slopes(alignment: Array, n: Vector, l: Vector, v: Vector) -> Slopes:
+    inverse = inverse_length_in_range(half_vector(l, v))
+    apart = l - v
+    squared = dot(apart, apart)
+    return Slopes(
+        alignment,
+        jnp.where(alignment == AWAY, 0.0, inverse),
+        jnp.where(squared > 3, 1.0 / jnp.maximum(squared, 1.0), 0.0),
+    )
+
+
+@jax.custom_jvp
+def _aligned_known(slopes: Slopes, n: Vector, l: Vector, v: Vector) -> Array:
+    return slopes.alignment
+
+
+@_aligned_known.defjvp
+def _aligned_known_jvp(primals, tangents):
     """d(N . H) = H . dn + N . dH with dH the part of d(l + v) / |l + v| at right angles to H.
 
     Near the peak, N - H stands for N: rounded lengths of both would otherwise leave a part along H, as large as the
     angle between them. Where l and v point apart, dH is put together from its parts along l - v and l x v. The first is
     -H . d(l - v) / |l - v|, as H . (l - v) = 0: it has nothing to do with the large 1 / |l + v|.
     """
-    (n, l, v), (dn, dl, dv) = primals, tangents
-    value = aligned(n, l, v)
-    towards, inverse = _towards_half(l, v)
-    base = n - towards.scaled(jnp.where(value <= 0, 1.0, 0.0))
-    apart = l - v
-    side, squared = cross(towards, apart), dot(apart, apart)
-    opposite = squared > 3
-    share = jnp.where(opposite, 1.0 / jnp.maximum(squared, 1.0), 0.0)
-    own = jnp.where(opposite, 0.0, inverse)
+    (slopes, n, l, v), (_, dn, dl, dv) = primals, tangents
+    towards, apart = half_vector(l, v).scaled(slopes.inverse), l - v
+    base = n - towards.scaled(jnp.where(slopes.alignment <= 0, 1.0, 0.0))
+    side = cross(towards, apart)
+    own = jnp.where(slopes.share > 0, 0.0, slopes.inverse)
     across = (
-        base.scaled(own) - towards.scaled(own * dot(base, towards)) + side.scaled((share * inverse) * dot(base, side))
+        base.scaled(own)
+        - towards.scaled(own * dot(base, towards))
+        + side.scaled((slopes.share * slopes.inverse) * dot(base, side))
     )
-    along = towards.scaled(share * dot(base, apart))
-    turned = dot(across - along, dl) + dot(across + along, dv)
-    return value, jnp.where(value == AWAY, 0.0, turned + dot(towards, dn))
+    along = towards.scaled(slopes.share * dot(base, apart))
+    return slopes.alignment, dot(across - along, dl) + dot(across + along, dv) + dot(towards, dn)
+
+
+@aligned.defjvp
+def _aligned_jvp(primals, tangents):
+    value = aligned(*primals)
+    return jax.jvp(partial(_aligned_known, _slopes(value, *primals)), primals, tangents)
 
 
 def _power(alignment: Array, exponent: Array) -> Array:
@@ -132,7 +159,7 @@ def _power_change(power: Array, x: Array, exponent: Array, dx: Array, d_exponent
     return jnp.where(faces, change, 0.0)
 
 
-FULL = _highlight(aligned, _power, _power_change)
+FULL = Highlight(aligned, _slopes, _aligned_known, *_power_of(_power, _power_change))
 
 # --- fast: fewer operations ------------------------------------------------------------------------------------------
 
@@ -160,4 +187,9 @@ def _power_of_squared_change(power: Array, squared: Array, exponent: Array, d_sq
     return jnp.where(faces, change, 0.0)
 
 
-FAST = _highlight(squared_cosine, _power_of_squared, _power_of_squared_change)
+FAST = Highlight(
+    squared_cosine,
+    None,
+    lambda _, n, l, v: squared_cosine(n, l, v),
+    *_power_of(_power_of_squared, _power_of_squared_change),
+)

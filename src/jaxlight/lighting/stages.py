@@ -38,7 +38,12 @@ class Stage(eqx.Module):
             return lax.cond(self.always, function, never)
 
     def each(
-        self, function: Callable[..., Any], *operands: Any, derived: tuple[Any, ...] = (), wide: tuple[int, ...] = ()
+        self,
+        function: Callable[..., Any],
+        *operands: Any,
+        derived: tuple[Any, ...] = (),
+        wide: tuple[int, ...] = (),
+        shared: Callable[..., Any] | None = None,
     ) -> Any:
         """function(*operands, *derived), each result a stage of its own; all their derivatives are one more stage.
 
@@ -50,26 +55,35 @@ class Stage(eqx.Module):
             derived: what follows from the operands, and whose change `function` already counts with theirs.
             wide: positions of smaller operands whose derivatives are summed over samples in stages of their own. XLA
                 vectorises a sum only if what it adds up is a short expression.
+            shared: shared(results, *operands, *derived) gives planes that derivatives by several operands share, each
+                a stage of its own; XLA would compute them once for every operand. For derivatives `function` is given
+                them as one more of `derived`.
         """
-        return _each((function, () if self.forward else wide), self, operands, derived)
+        return _each((function, () if self.forward else wide, shared), self, operands, derived)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _each(
-    how: tuple[Callable[..., Any], tuple[int, ...]], stage: Stage, operands: tuple[Any, ...], derived: tuple[Any, ...]
+    how: tuple[Callable[..., Any], tuple[int, ...], Callable[..., Any] | None],
+    stage: Stage,
+    operands: tuple[Any, ...],
+    derived: tuple[Any, ...],
 ) -> Any:
-    function, _ = how
-    results, tree = jax.tree_util.tree_flatten_with_path(jax.eval_shape(function, *operands, *derived))
+    return _leaf_by_leaf(stage, how[0], *operands, *derived)
+
+
+def _leaf_by_leaf(stage: Stage, function: Callable[..., Any], *operands: Any) -> Any:
+    results, tree = jax.tree_util.tree_flatten_with_path(jax.eval_shape(function, *operands))
 
     def result(number: int) -> Array:
         name = _name(function) + jax.tree_util.keystr(results[number][0])
-        return stage(lambda: jax.tree.leaves(function(*operands, *derived))[number], name)
+        return stage(lambda: jax.tree.leaves(function(*operands))[number], name)
 
     return tree.unflatten([result(number) for number in range(len(results))])
 
 
-def _each_jvp(how: tuple[Callable[..., Any], tuple[int, ...]], primals: Any, tangents: Any) -> Any:
-    function, wide = how
+def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
+    function, wide, shared = how
     (stage, operands, derived), (_, changes, _) = primals, tangents
     leaves, tree = jax.tree.flatten(operands)
     changes = jax.tree.leaves(changes, is_leaf=_is_zero)
@@ -77,6 +91,8 @@ def _each_jvp(how: tuple[Callable[..., Any], tuple[int, ...]], primals: Any, tan
     results = _each(how, stage, operands, derived)
     if not moving:
         return results, jax.tree.map(jnp.zeros_like, results)
+    if shared is not None:
+        derived = (*derived, _leaf_by_leaf(stage, shared, results, *operands, *derived))
 
     shape = jnp.broadcast_shapes(*(result.shape for result in jax.tree.leaves(results)))
     owner = [position for position, operand in enumerate(operands) for _ in jax.tree.leaves(operand)]

@@ -159,6 +159,7 @@ def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, highlight: Highli
         lights.axis,
         derived=(inverse,),
         wide=(0, 1, 2, 3, 4, 5),
+        shared=None if highlight is None or highlight.slopes is None else partial(_seen_slopes, highlight),
     )
 
 
@@ -183,15 +184,39 @@ def _seen(
     to_viewer: Vector | None,
     axis: Vector | None,
     inverse: Array | None,
+    slopes: Any = None,
 ) -> Aspect:
-    """`inverse`: 1 / d_L."""
+    """`inverse`: 1 / d_L; `slopes`: of the alignment, if known."""
     l, distance = _light_vector(towards, place, position, inverse)
+    alignment = None
+    if highlight is not None and to_viewer is not None:
+        if slopes is None:
+            alignment = highlight.alignment(normal, l, to_viewer)
+        else:
+            alignment = highlight.known_alignment(slopes, normal, l, to_viewer)
     return Aspect(
         facing=dot(normal, l),
-        alignment=None if highlight is None or to_viewer is None else highlight.alignment(normal, l, to_viewer),
+        alignment=alignment,
         distance=distance if asks_distance else None,
         angle=None if axis is None else factors.angle_between(-l, axis),
     )
+
+
+def _seen_slopes(
+    highlight: Highlight,
+    aspect: Aspect,
+    towards: Vector | None,
+    place: Vector | None,
+    position: Vector,
+    normal: Vector,
+    to_viewer: Vector | None,
+    axis: Vector | None,
+    inverse: Array | None,
+) -> Any:
+    """`Highlight.slopes` of how samples see lights."""
+    l, _ = _light_vector(towards, place, position, inverse)
+    assert highlight.slopes is not None and to_viewer is not None and aspect.alignment is not None
+    return highlight.slopes(aspect.alignment, normal, l, to_viewer)
 
 
 def _reaching(stage: Stage, lights: WorldLights, tile: Geometry, aspect: Aspect) -> Array | None:
