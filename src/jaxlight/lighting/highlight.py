@@ -1,21 +1,21 @@
 """The highlight (N . H)^(128 shininess) of X3D 17.2.2.4, in full accuracy and fast.
 
 A form knows two steps, which are stages of their own: how a sample is aligned with the half vector, a plane that says
-all of N . H, and the power of it. A derivative at a kink lies between 0 and the one-sided derivatives.
+all of N . H, and the power of it; and what derivatives of the first share. A derivative at a kink lies between 0 and
+the one-sided derivatives.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .elementary import exp, exp2_fast, log2_fast, log_of_alignment, ratio
+from .elementary import exp, exp2_fast, log2_fast, log_of_alignment, ratio, steep_reciprocal
 from .vectors import Vector, cross, dot, half_vector, inverse_length_in_range
 
 
@@ -23,11 +23,11 @@ class Highlight(NamedTuple):
     """How highlights are computed."""
 
     alignment: Callable[[Vector, Vector, Vector], Array]
-    """What the power asks to know of N . H, for unit n, l and v."""
-    slopes: Callable[[Array, Vector, Vector, Vector], Any] | None
-    """What derivatives of `alignment` share, from it and n, l and v; None: nothing."""
+    """What the power asks to know of N . H, for unit n, l and v; not to be differentiated."""
+    slopes: Callable[[Array, Vector, Vector, Vector], Any]
+    """From the alignment and n, l and v what its derivatives by all of their components share."""
     known_alignment: Callable[[Any, Vector, Vector, Vector], Array]
-    """`alignment`, of which `slopes` are known, for its derivatives."""
+    """`alignment` from its `slopes`, with derivatives by n, l and v."""
     power: Callable[[Array, Array], Array]
     """(N . H)^exponent from the alignment; where N . H <= 0 it is 0^exponent: 1 for exponent 0, else 0."""
     known_power: Callable[[Array, Array, Array], Array]
@@ -71,7 +71,6 @@ AWAY = 1.0
 """Stands for any N . H <= 0; a true alignment is at most 3/4."""
 
 
-@jax.custom_jvp
 def aligned(n: Vector, l: Vector, v: Vector) -> Array:
     """N . H for unit n, l and v (undefined ones are 0); N . H - 1 where that is above -1/4.
 
@@ -86,7 +85,7 @@ def aligned(n: Vector, l: Vector, v: Vector) -> Array:
     return jnp.where(cosine > 0, jnp.where(versine < 0.25, -versine, cosine), AWAY)
 
 
-class Slopes(NamedTuple):
+class _AlignedSlopes(NamedTuple):
     """What the derivatives of an alignment by all components of n, l and v share, and is slow to compute."""
 
     alignment: Array
@@ -96,11 +95,11 @@ class Slopes(NamedTuple):
     """1 / |l - v|^2 where l and v point apart, |l - v|^2 > 3; else 0."""
 
 
-def _slopes(alignment: Array, n: Vector, l: Vector, v: Vector) -> Slopes:
+def _aligned_slopes(alignment: Array, n: Vector, l: Vector, v: Vector) -> _AlignedSlopes:
     inverse = inverse_length_in_range(half_vector(l, v))
     apart = l - v
     squared = dot(apart, apart)
-    return Slopes(
+    return _AlignedSlopes(
         alignment,
         jnp.where(alignment == AWAY, 0.0, inverse),
         jnp.where(squared > 3, 1.0 / jnp.maximum(squared, 1.0), 0.0),
@@ -108,7 +107,7 @@ def _slopes(alignment: Array, n: Vector, l: Vector, v: Vector) -> Slopes:
 
 
 @jax.custom_jvp
-def _aligned_known(slopes: Slopes, n: Vector, l: Vector, v: Vector) -> Array:
+def _aligned_known(slopes: _AlignedSlopes, n: Vector, l: Vector, v: Vector) -> Array:
     return slopes.alignment
 
 
@@ -134,12 +133,6 @@ def _aligned_known_jvp(primals, tangents):
     return slopes.alignment, dot(across - along, dl) + dot(across + along, dv) + dot(towards, dn)
 
 
-@aligned.defjvp
-def _aligned_jvp(primals, tangents):
-    value = aligned(*primals)
-    return jax.jvp(partial(_aligned_known, _slopes(value, *primals)), primals, tangents)
-
-
 def _power(alignment: Array, exponent: Array) -> Array:
     """(N . H)^exponent from `alignment`, with derivative 0 where N . H <= 0."""
     value = exp(exponent * log_of_alignment(alignment))
@@ -159,7 +152,7 @@ def _power_change(power: Array, x: Array, exponent: Array, dx: Array, d_exponent
     return jnp.where(faces, change, 0.0)
 
 
-FULL = Highlight(aligned, _slopes, _aligned_known, *_power_of(_power, _power_change))
+FULL = Highlight(aligned, _aligned_slopes, _aligned_known, *_power_of(_power, _power_change))
 
 # --- fast: fewer operations ------------------------------------------------------------------------------------------
 
@@ -170,6 +163,32 @@ def squared_cosine(n: Vector, l: Vector, v: Vector) -> Array:
     cosine = dot(n, half)
     faces = cosine > 0
     return jnp.where(faces, ratio(cosine * cosine, jnp.where(faces, dot(half, half), 1.0)), 0.0)
+
+
+class _SquaredSlopes(NamedTuple):
+    squared: Array
+    inverse: Array
+    """1 / |l + v|^2, 0 where N . H <= 0."""
+
+
+def _squared_slopes(squared: Array, n: Vector, l: Vector, v: Vector) -> _SquaredSlopes:
+    half = l + v
+    faces = squared > 0
+    return _SquaredSlopes(squared, jnp.where(faces, steep_reciprocal(jnp.where(faces, dot(half, half), 1.0)), 0.0))
+
+
+@jax.custom_jvp
+def _squared_known(slopes: _SquaredSlopes, n: Vector, l: Vector, v: Vector) -> Array:
+    return slopes.squared
+
+
+@_squared_known.defjvp
+def _squared_known_jvp(primals, tangents):
+    (slopes, n, l, v), (_, dn, dl, dv) = primals, tangents
+    half, change = l + v, dl + dv
+    cosine = 2.0 * slopes.inverse * dot(n, half)
+    moved = cosine * (dot(dn, half) + dot(n, change)) - (2.0 * slopes.inverse * slopes.squared) * dot(half, change)
+    return slopes.squared, moved
 
 
 def _power_of_squared(squared: Array, exponent: Array) -> Array:
@@ -189,7 +208,7 @@ def _power_of_squared_change(power: Array, squared: Array, exponent: Array, d_sq
 
 FAST = Highlight(
     squared_cosine,
-    None,
-    lambda _, n, l, v: squared_cosine(n, l, v),
+    _squared_slopes,
+    _squared_known,
     *_power_of(_power_of_squared, _power_of_squared_change),
 )

@@ -15,7 +15,7 @@ from .options import LightingOptions
 from .plan import Plan, make_plan
 from .prepared import compute_dtype, prepare
 from .registers import WIDE
-from .tiles import colors_of_run, surface_runs, tiles_at_once
+from .tiles import colors_of_run, in_fitting_tiles, surface_runs, tiles_at_once
 
 
 def shade(
@@ -58,12 +58,16 @@ def shade_tiles(
 
 
 def _tiles_of(scene: Scene, samples: SampleBuffer, plan: Plan) -> Array:
+    tile, samples = samples.tile, in_fitting_tiles(scene, samples, plan)
     prepared = prepare(scene, samples, plan)
     count = tiles_at_once(scene, samples, plan)
-    parts = [colors_of_run(run, prepared, samples, plan, count) for run in surface_runs(scene.surfaces, samples)]
-    if not parts:
-        return jnp.zeros((0, 4, samples.tile), compute_dtype(samples))
-    return jnp.concatenate(parts) if len(parts) > 1 else parts[0]
+    runs = [colors_of_run(run, prepared, samples, plan, count) for run in surface_runs(scene.surfaces, samples)]
+    if not runs:
+        return jnp.zeros((0, 4, tile), compute_dtype(samples))
+    colors = jnp.concatenate(runs) if len(runs) > 1 else runs[0]
+    if samples.tile == tile:
+        return colors
+    return jnp.swapaxes(colors.reshape(-1, tile // samples.tile, 4, samples.tile), 1, 2).reshape(-1, 4, tile)
 
 
 _shade_tiles = jax.jit(_tiles_of, static_argnames="plan")

@@ -9,7 +9,7 @@ Planes of samples are [rows, lanes], planes of lights and samples [lights, rows,
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
@@ -159,7 +159,7 @@ def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, highlight: Highli
         lights.axis,
         derived=(inverse,),
         wide=(0, 1, 2, 3, 4, 5),
-        shared=None if highlight is None or highlight.slopes is None else partial(_seen_slopes, highlight),
+        shared=None if highlight is None else partial(_slopes, highlight),
     )
 
 
@@ -186,14 +186,12 @@ def _seen(
     inverse: Array | None,
     slopes: Any = None,
 ) -> Aspect:
-    """`inverse`: 1 / d_L; `slopes`: of the alignment, if known."""
+    """`inverse`: 1 / d_L; `slopes`: what `_slopes` gives, for derivatives."""
     l, distance = _light_vector(towards, place, position, inverse)
     alignment = None
     if highlight is not None and to_viewer is not None:
-        if slopes is None:
-            alignment = highlight.alignment(normal, l, to_viewer)
-        else:
-            alignment = highlight.known_alignment(slopes, normal, l, to_viewer)
+        seen = (normal, l, to_viewer)
+        alignment = highlight.alignment(*seen) if slopes is None else highlight.known_alignment(slopes, *seen)
     return Aspect(
         facing=dot(normal, l),
         alignment=alignment,
@@ -202,7 +200,7 @@ def _seen(
     )
 
 
-def _seen_slopes(
+def _slopes(
     highlight: Highlight,
     aspect: Aspect,
     towards: Vector | None,
@@ -213,9 +211,9 @@ def _seen_slopes(
     axis: Vector | None,
     inverse: Array | None,
 ) -> Any:
-    """`Highlight.slopes` of how samples see lights."""
+    """`Highlight.slopes` of what `_seen` gives."""
     l, _ = _light_vector(towards, place, position, inverse)
-    assert highlight.slopes is not None and to_viewer is not None and aspect.alignment is not None
+    assert to_viewer is not None and aspect.alignment is not None
     return highlight.slopes(aspect.alignment, normal, l, to_viewer)
 
 

@@ -30,6 +30,9 @@ from .world import WorldLights, in_chunks
 PLANE = 8192
 """Lights times samples that are evaluated at once: what a tile's planes may hold to stay in the cache."""
 
+SMALLEST_TILE = 256
+"""Samples of a tile that is split because there are many lights."""
+
 
 class Color(NamedTuple):
     """What a tile gives: planes [3, samples] and [samples]."""
@@ -68,7 +71,31 @@ def _alike(a: Surface, b: Surface) -> bool:
 
 def tiles_at_once(scene: Scene, samples: SampleBuffer, plan: Plan) -> int:
     """How many neighbouring tiles are evaluated together: several where few lights would leave the planes short."""
-    lights = 1
+    lights, count = _most_lights(scene, plan), samples.group
+    if lights is None:
+        return 1
+    while count > 1 and count * samples.tile * lights > PLANE:
+        count //= 2
+    return count
+
+
+def in_fitting_tiles(scene: Scene, samples: SampleBuffer, plan: Plan) -> SampleBuffer:
+    """The samples in tiles so small that planes of all lights of a kind stay in the cache, if that is small enough.
+
+    Under still more lights they stay as they are, and lights are evaluated in chunks: what is done once a sample has
+    its price in small tiles, as it has in derivatives to evaluate chunks twice.
+    """
+    lights, parts = _most_lights(scene, plan), 1
+    if lights is None:
+        return samples
+    while samples.tile // parts * lights > PLANE:
+        parts *= 2
+    return samples.with_split_tiles(parts) if samples.tile // parts >= SMALLEST_TILE else samples
+
+
+def _most_lights(scene: Scene, plan: Plan) -> int | None:
+    """Of the kind with most lights their number, at least 1; None if only those near a tile are evaluated."""
+    most = 1
     for group, light_plan in (
         (scene.directional, plan.directional),
         (scene.point, plan.point),
@@ -77,12 +104,9 @@ def tiles_at_once(scene: Scene, samples: SampleBuffer, plan: Plan) -> int:
         if group is None or light_plan is None:
             continue
         if light_plan.culled:
-            return 1
-        lights = max(lights, len(group.names) if light_plan.rows is None else len(light_plan.rows))
-    count = samples.group
-    while count > 1 and count * samples.tile * lights > PLANE:
-        count //= 2
-    return count
+            return None
+        most = max(most, len(group.names) if light_plan.rows is None else len(light_plan.rows))
+    return most
 
 
 def colors_of_run(

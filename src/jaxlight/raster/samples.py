@@ -6,6 +6,7 @@ are how it is stored, because the equation is evaluated tile by tile. The layout
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -174,6 +175,20 @@ class SampleBuffer(eqx.Module):
         """[tiles, components, tile], or blocks, -> [N, components]: padding dropped, samples in the order given."""
         rows = jnp.swapaxes(planes, 1, 2).reshape(-1, planes.shape[1])
         return rows[: self.count] if self.slot is None else jnp.take(rows, self.slot, axis=0)
+
+    def with_split_tiles(self, parts: int) -> SampleBuffer:
+        """The same samples in the same slots, each tile split into `parts`, a power of two."""
+        if parts == 1:
+            return self
+        return dataclasses.replace(
+            self,
+            tile_surface=jnp.repeat(self.tile_surface, parts),
+            tile_low=jnp.repeat(self.tile_low, parts, axis=1),
+            tile_high=jnp.repeat(self.tile_high, parts, axis=1),
+            runs=tuple((surface, parts * first, parts * last) for surface, first, last in self.runs),
+            tile=self.tile // parts,
+            group=self.group * parts,
+        )
 
     @property
     def slots(self) -> int:

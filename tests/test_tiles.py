@@ -1,0 +1,88 @@
+"""Tiles are split under many lights: the same samples in the same places, with the same colours and derivatives."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxlight import Scene, nodes
+from jaxlight.fit import View
+from jaxlight.fit.normal import loss_and_gradient
+from jaxlight.fit.problem import make_problem
+from jaxlight.lighting import make_plan, shade, shade_tiles
+from jaxlight.lighting.tiles import in_fitting_tiles
+from jaxlight.raster import SampleBuffer
+
+COUNT = 5000
+
+
+def scene_with_lights(count: int, *, lamps: bool = True) -> Scene:
+    """Two shapes under `count` DirectionalLights and as many PointLights."""
+    random = np.random.default_rng(3)
+    shapes = [
+        nodes.Shape(
+            appearance=nodes.Appearance(material=nodes.Material(diffuse_color=color, specular_color=(0.3,) * 3))
+        )
+        for color in ((0.8, 0.2, 0.1), (0.1, 0.5, 0.9))
+    ]
+    suns = [nodes.DirectionalLight(direction=random.normal(size=3), intensity=0.1) for _ in range(count)]
+    points = [
+        nodes.PointLight(location=np.array([0, 0, 2]) + random.normal(size=3), intensity=0.1) for _ in range(count)
+    ]
+    return Scene.from_nodes([*shapes, *suns, *(points if lamps else [])])
+
+
+def samples_in_tiles(tile: int) -> SampleBuffer:
+    """Random samples of both shapes, each with a colour of its own."""
+    random = np.random.default_rng(4)
+    return SampleBuffer.create(
+        random.uniform(-1, 1, (COUNT, 3)),
+        np.array([0, 0, 3]) + random.normal(size=(COUNT, 3)),
+        [0, 0, 6],
+        surface=random.integers(0, 2, COUNT),
+        color=random.uniform(0, 1, (COUNT, 3)),
+        tile=tile,
+    )
+
+
+@pytest.mark.parametrize(("lights", "tile"), [(8, 1024), (9, 512), (20, 256), (31, 256)])
+def test_tiles_are_as_large_as_the_planes_of_all_lights_allow(lights: int, tile: int) -> None:
+    scene, samples = scene_with_lights(lights), samples_in_tiles(1024)
+    assert in_fitting_tiles(scene, samples, make_plan(scene, samples, free=True)).tile == tile
+
+
+def test_under_very_many_lights_tiles_stay() -> None:
+    scene, samples = scene_with_lights(33, lamps=False), samples_in_tiles(1024)
+    assert in_fitting_tiles(scene, samples, make_plan(scene, samples, free=True)) is samples
+
+
+def test_split_tiles_change_no_colour_and_no_derivative() -> None:
+    scene = scene_with_lights(20)
+    large, small = samples_in_tiles(1024), samples_in_tiles(256)
+    assert shade_tiles(scene, large).shape == (large.slots // 1024, 4, 1024)
+    np.testing.assert_array_equal(shade(scene, large), shade(scene, small))
+
+    free, fixed = eqx.partition(scene, eqx.is_inexact_array)
+    target = jnp.asarray(np.random.default_rng(5).uniform(0, 1, (COUNT, 3)), jnp.float32)
+
+    def loss(free: Scene, samples: SampleBuffer) -> jax.Array:
+        colors = shade(eqx.combine(free, fixed), samples, plan=make_plan(scene, samples, free=True))
+        return jnp.sum((colors[:, :3] - target) ** 2)
+
+    of_large, of_small = (jax.jit(jax.grad(loss))(free, samples) for samples in (large, small))
+    for ours, other in zip(jax.tree.leaves(of_large), jax.tree.leaves(of_small), strict=True):
+        np.testing.assert_allclose(ours, other, rtol=2e-5, atol=2e-5 * (float(np.abs(other).max()) + 1))
+
+
+def test_a_fit_in_split_tiles_hears_every_sample() -> None:
+    scene, target = scene_with_lights(20), np.random.default_rng(5).uniform(0, 1, (COUNT, 3))
+    of = []
+    for tile in (1024, 256):
+        problem, _ = make_problem(scene, View(samples_in_tiles(tile), target), ["Material[0].diffuseColor"])
+        assert problem.views[0].samples.tile == 256
+        of.append(loss_and_gradient(problem, problem.parameters.start))
+    np.testing.assert_allclose(of[0][0], of[1][0], rtol=1e-6)
+    np.testing.assert_allclose(of[0][1], of[1][1], rtol=1e-5)
