@@ -280,4 +280,5 @@ def _gradient_condition(
 
 
 def _condition(moved: np.ndarray, value: np.ndarray, precision: int) -> np.ndarray:
-    return np.maximum(1.0, (moved / output_ulp(value, precision)).astype(np.float64))
+    with np.errstate(over="ignore"):  # of what is beyond all bounds
+        return np.maximum(1.0, (moved / output_ulp(value, precision)).astype(np.float64))
