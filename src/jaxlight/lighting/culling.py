@@ -43,7 +43,8 @@ def received_from_near(
     rank = _running_count(reaches)
     count = rank[-1]
 
-    # Checkpoints: the branch that is not taken then leaves no zeros behind for what it would have kept.
+    # Checkpoints: the branch that is not taken then leaves no zeros behind for what it would have kept. In loops they
+    # are around branches, so that derivatives keep nothing of a turn, not even copies of what is the same in all.
     @partial(jax.checkpoint, static_argnums=0)
     def nearest(capacity: int, lights: WorldLights) -> Received:
         rows = jnp.minimum(jnp.searchsorted(rank, jnp.arange(1, capacity + 1)), lights.count - 1)
@@ -130,7 +131,6 @@ def _sum_over_lists(
         entry = (number * CHUNK + jnp.arange(CHUNK))[:, None]
         return jnp.minimum(_place_of_flag(words, entry), lights.count - 1), entry < length
 
-    @jax.checkpoint
     def of_entries(lights: WorldLights, row: Int[Array, "chunk lanes"], listed: Array) -> Received:
         def listed_lights() -> WorldLights:
             return lights.with_planes(
@@ -140,20 +140,23 @@ def _sum_over_lists(
 
         return of(stage(listed_lights))
 
-    def add(total: Received, number: Array) -> tuple[Received, None]:
-        def more() -> Received:
-            return total + of_entries(lights, *entries(number))
-
-        return lax.cond(number * CHUNK < longest, more, lambda: total), None
-
-    def add_group(total: Received, first: Array) -> tuple[Received, None]:
-        def more() -> Received:
-            return lax.scan(add, total, first + jnp.arange(GROUP))[0]
-
-        return lax.cond(first * CHUNK < longest, more, lambda: total), None
-
     dark = _dark(jax.eval_shape(lambda: of_entries(lights, *entries(jnp.zeros((), jnp.int32)))))
-    return lax.scan(add_group, dark, jnp.arange(0, -(-lights.count // CHUNK), GROUP))[0]
+
+    @jax.checkpoint
+    def add(lights: WorldLights, total: Received, number: Array) -> Received:
+        return lax.cond(number * CHUNK < longest, lambda: total + of_entries(lights, *entries(number)), lambda: total)
+
+    @jax.checkpoint
+    def add_group(lights: WorldLights, total: Received, first: Array) -> Received:
+        numbers = first + jnp.arange(GROUP)
+
+        def more() -> Received:
+            return lax.scan(lambda total, number: (add(lights, total, number), None), total, numbers)[0]
+
+        return lax.cond(first * CHUNK < longest, more, lambda: total)
+
+    groups = jnp.arange(0, -(-lights.count // CHUNK), GROUP)
+    return lax.scan(lambda total, first: (add_group(lights, total, first), None), dark, groups)[0]
 
 
 def _packed(flags: Bool[Array, "lights lanes"]) -> UInt32[Array, "words lanes"]:
@@ -208,18 +211,17 @@ def _sum_over_chunks(
     table = jnp.concatenate([leaf.reshape(leaf.shape[0], -1) for leaf in leaves], axis=1)
     ends = np.cumsum([math.prod(leaf.shape[1:]) for leaf in leaves]).tolist()
 
-    @jax.checkpoint
     def of_chunk(numbers: Array) -> Received:
         parts = jnp.split(numbers, ends[:-1])
         some = tree.unflatten([part.reshape(leaf.shape[1:]) for part, leaf in zip(parts, leaves, strict=True)])
         return of(some.with_planes(spread, spread))
 
-    def add(total: Received, chunk: tuple[Array, Array]) -> tuple[Received, None]:
-        numbers, is_needed = chunk
-        return lax.cond(is_needed, lambda: total + of_chunk(numbers), lambda: total), None
+    @jax.checkpoint
+    def add(total: Received, numbers: Array, is_needed: Array) -> Received:
+        return lax.cond(is_needed, lambda: total + of_chunk(numbers), lambda: total)
 
     dark = _dark(jax.eval_shape(of_chunk, table[0]))
-    return lax.scan(add, dark, (table, needed))[0]
+    return lax.scan(lambda total, chunk: (add(total, *chunk), None), dark, (table, needed))[0]
 
 
 def _dark(shapes: Received) -> Received:
