@@ -101,7 +101,7 @@ def _quantities(options: Stress) -> tuple[str, ...]:
 
 def _title(quantity: str) -> str:
     if quantity == "second":
-        return "second derivatives, forward over reverse (errors in ulp of the sum of their terms' sizes)"
+        return "second derivatives, forward over reverse (in ulp of the sum of their terms' sizes)"
     return quantity if quantity == "values" else f"derivatives, {quantity} mode"
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-LIMITS = {"values": 4.0, "reverse": 16.0, "forward": 16.0, "second": np.inf}
+LIMITS = {"values": 4.0, "reverse": 16.0, "forward": 16.0, "second": 16.0}
 """Worst error allowed, in ulp / condition."""
 WITHIN_2 = 0.999
 """Share of values that must be within 2 ulp x condition."""

@@ -95,9 +95,10 @@ class Block:
     def judge_second(self, count: int) -> Judged:
         """The first `count` cases' second derivatives along a direction, forward over reverse.
 
-        Errors are in ulp of the sum of the sizes of what is added up, the largest among a vector's components. Left out
-        are derivatives by frames (their inverses move too), and cases in which only some lights have one (in jaxlight
-        the others' identities move).
+        Errors are in ulp of the sum of the sizes of what is added up, the largest among a vector's components; and over
+        how many of these it moves with the inputs. Left out are derivatives by frames (their inverses move too), cases
+        in which only some lights have one (in jaxlight the others' identities move), and those with second derivatives
+        too large to be asked for, or a power that may underflow.
         """
         cases, bits = self.cases[:count], BITS[self.precision]
         with jax.enable_x64(self.precision == "float64"):
@@ -108,12 +109,16 @@ class Block:
             judged.finite[exact.index] = np.isfinite(own).all(axis=(1, 2))
             kept = np.array(["frame" not in path for path in exact.paths])
             alike = np.array([len({light.frame is None for light in cases[i].lights}) <= 1 for i in exact.index])
-            asked = (exact.smooth & self.exact.well_conditioned[exact.index] & alike)[:, None, None]
-            asked = asked & kept[None, :, None] & (exact.size <= LARGEST[self.precision])
+            in_range = (exact.steepest <= LARGEST[self.precision]) & ~exact.may_underflow
+            asked = (exact.smooth & self.exact.well_conditioned[exact.index] & alike & in_range)[:, None, None]
+            asked = asked & kept[None, :, None]
+            unit = output_ulp(_over_components(exact.size, exact.paths), bits)
             with np.errstate(invalid="ignore"):
-                error = np.abs(own - exact.change) / output_ulp(_over_components(exact.size, exact.paths), bits)
+                error = np.abs(own - exact.change) / unit
+                condition = np.maximum(1, _over_components(exact.moved, exact.paths) / unit)
             error = np.where(asked, np.where(np.isfinite(own), error, np.inf), np.nan)
-            judged.ulp[exact.index] = judged.relative[exact.index] = _worst(error.reshape(len(error), -1))
+            judged.ulp[exact.index] = _worst(error.reshape(len(error), -1))
+            judged.relative[exact.index] = _worst((error / condition).reshape(len(error), -1))
         return judged
 
     def _compare(self, computed: np.ndarray, rounding: np.ndarray, exact: fast_exact.Gradients, judged: Judged) -> None:

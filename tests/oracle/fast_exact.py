@@ -25,6 +25,9 @@ from .ulp import input_ulp, neighbours, output_ulp
 CHUNK = {0: 4096, 1: 4096, 2: 512}
 """Cases computed at once, by order of the derivatives."""
 
+MOVES = 8
+"""So many times all inputs are moved, for the condition of second derivatives."""
+
 
 @dataclass(frozen=True)
 class Values:
@@ -74,13 +77,19 @@ class Gradients:
 
 @dataclass(frozen=True)
 class SecondDerivatives:
-    """Of n cases of one shape: the sums over j of d2f / dx_i dx_j times a step of x_j, [n, P, 4]; `size`: of the terms'
-    sizes."""
+    """Of n cases of one shape, [n, P, 4]: the sums over j of d2f / dx_i dx_j times a step of x_j."""
 
     index: np.ndarray
     paths: list[Path]
     change: np.ndarray
     size: np.ndarray
+    """Of the terms' sizes, added up."""
+    moved: np.ndarray
+    """How far the terms move, added up, when all inputs move by one ulp, up or down at random; the most of `MOVES`."""
+    steepest: np.ndarray
+    """[n]: the largest of all second derivatives."""
+    may_underflow: np.ndarray
+    """[n]: whether a power may, that something multiplies."""
     distances: dict[str, np.ndarray]
 
     @property
@@ -159,21 +168,48 @@ def second_derivatives(
     cases: Sequence[Case], direction: Callable[[Path], float], precision: int = 32
 ) -> Iterator[SecondDerivatives]:
     """How the derivatives change when every input x moves by x times what `direction` gives for its path."""
+    random = np.random.default_rng(len(cases))
     for index, columns in _chunks(cases, 2):
         tape = FastTape(columns, 2, precision)
         channels = _run(tape)
-        steps = columns.values * np.array([direction(path) for path in columns.paths])[:, None]
-        change = np.zeros((len(columns.paths), 4, columns.count), dtype=WIDE)
-        size = np.zeros_like(change)
-        for c, channel in enumerate(channels):
-            for (i, j), second in (channel.hessian or {}).items():
-                for row, other in {(i, j), (j, i)}:
-                    term = second * steps[other]
-                    change[row, c] += term
-                    size[row, c] += np.abs(term)
-        yield SecondDerivatives(
-            index, columns.paths, change.transpose(2, 0, 1), size.transpose(2, 0, 1), tape.distances
+        terms = _terms(channels, columns, direction)
+        seconds = [second for channel in channels for second in (channel.hessian or {}).values()]
+        steepest = np.max(
+            [np.zeros(columns.count), *(np.broadcast_to(np.abs(x), columns.count) for x in seconds)], axis=0
         )
+        moved = np.zeros((columns.count, len(columns.paths), 4), dtype=WIDE)
+        for _ in range(MOVES):
+            other = columns
+            for i, values in enumerate(columns.values):
+                up, down = neighbours(values, precision)[:2]
+                other = other.replaced(i, np.where(random.random(columns.count) < 0.5, up, down))
+            there = _terms(_run(FastTape(other, 2, precision)), other, direction)
+            with np.errstate(invalid="ignore"):
+                moved = np.fmax(moved, _sum({key: np.abs(there[key] - term) for key, term in terms.items()}, columns))
+        change, size = _sum(terms, columns), _sum({key: np.abs(term) for key, term in terms.items()}, columns)
+        yield SecondDerivatives(index, columns.paths, change, size, moved, steepest, tape.may_lose, tape.distances)
+
+
+_Terms = dict[tuple[int, int, int], np.ndarray]
+"""d2f / dx_i dx_j times the step of x_j, by i, channel and j."""
+
+
+def _terms(channels: tuple[Dual, ...], columns: Columns, direction: Callable[[Path], float]) -> _Terms:
+    steps = np.array([direction(path) for path in columns.paths])[:, None] * columns.values
+    return {
+        (row, c, other): second * steps[other]
+        for c, channel in enumerate(channels)
+        for (i, j), second in (channel.hessian or {}).items()
+        for row, other in {(i, j), (j, i)}
+    }
+
+
+def _sum(terms: _Terms, columns: Columns) -> np.ndarray:
+    """[n, P, 4]."""
+    out = np.zeros((len(columns.paths), 4, columns.count), dtype=WIDE)
+    for (row, c, _), term in terms.items():
+        out[row, c] += term
+    return out.transpose(2, 0, 1)
 
 
 def _independent_kinks(kinks: dict[str, np.ndarray]) -> list[dict[str, np.ndarray]]:

@@ -62,6 +62,8 @@ class FastTape:
         self.distances = {kind: np.full(columns.count, np.inf) for kind in ("jump", "kink", "cone")}
         self.kinks: dict[str, np.ndarray] = {}
         self.powers_lost: list[str] = []
+        self.may_lose = np.zeros(columns.count, dtype=bool)
+        """In which cases `powers_lost` are."""
         self.active: Any = np.True_
         """Where what is being computed matters; elsewhere its decisions do not count."""
 
@@ -114,6 +116,7 @@ class FastTape:
         lost = (x.value > 0) & (x.value < underflow_threshold(self.precision)) & self.active
         if np.any(lost):
             self.powers_lost.append(name)
+            self.may_lose |= lost
         return select(lost, self.constant(0), x) if name in self.flip else x
 
     def length(
