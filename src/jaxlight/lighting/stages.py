@@ -21,6 +21,37 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool
 
 
+class Inlined(eqx.Module):
+    """A plane that is not stored: every stage that takes it computes it in its own loop.
+
+    For what is as quickly computed as loaded, or lies in a large array: copied by a stage of its own, only that one
+    loop would wait for memory.
+    """
+
+    function: Callable[..., Array] = eqx.field(static=True)
+    """Closes over no traced value."""
+    operands: tuple[Any, ...]
+    """Of the function; some may be inlined themselves."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the plane."""
+        return jax.eval_shape(self.stored).shape
+
+    def stored(self) -> Array:
+        """The plane."""
+        return self.function(*stored(self.operands))
+
+
+def stored(operands: Any) -> Any:
+    """The pytree with what is inlined computed."""
+    return jax.tree.map(lambda leaf: leaf.stored() if _is_inlined(leaf) else leaf, operands, is_leaf=_is_inlined)
+
+
+def _is_inlined(value: Any) -> bool:
+    return isinstance(value, Inlined)
+
+
 class Stage(eqx.Module):
     """Evaluates functions behind a boundary; `always` is true, but only the running program knows."""
 
@@ -28,14 +59,17 @@ class Stage(eqx.Module):
     forward: bool = eqx.field(static=True, default=False)
     """Whether derivatives are only taken in forward mode, where none are summed over samples."""
 
-    def __call__(self, function: Callable[[], Any], name: str = "") -> Any:
-        """function(), a stage of its own; `name` (default: the function's) is for profiles."""
+    def __call__(self, function: Callable[..., Any], *operands: Any, name: str = "") -> Any:
+        """function(*operands), a stage of its own; `name` (default: the function's) is for profiles."""
+
+        def of_stored() -> Any:
+            return function(*stored(operands))
 
         def never() -> Any:
-            return jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(function))
+            return jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(of_stored))
 
         with jax.named_scope(f"stage.{name or _name(function)}"):
-            return lax.cond(self.always, function, never)
+            return lax.cond(self.always, of_stored, never)
 
     def each(
         self,
@@ -51,7 +85,7 @@ class Stage(eqx.Module):
 
         Args:
             function: closes over no traced value.
-            operands: pytrees of planes.
+            operands: pytrees of planes, some of them `Inlined`.
             derived: what follows from the operands, and whose change `function` already counts with theirs.
             wide: positions of smaller operands whose derivatives are summed over samples in stages of their own. XLA
                 vectorises a sum only if what it adds up is a short expression.
@@ -73,11 +107,11 @@ def _each(
 
 
 def _leaf_by_leaf(stage: Stage, function: Callable[..., Any], *operands: Any) -> Any:
-    results, tree = jax.tree_util.tree_flatten_with_path(jax.eval_shape(function, *operands))
+    results, tree = jax.tree_util.tree_flatten_with_path(jax.eval_shape(lambda: function(*stored(operands))))
 
     def result(number: int) -> Array:
         name = _name(function) + jax.tree_util.keystr(results[number][0])
-        return stage(lambda: jax.tree.leaves(function(*operands))[number], name)
+        return stage(lambda *operands: jax.tree.leaves(function(*operands))[number], *operands, name=name)
 
     return tree.unflatten([result(number) for number in range(len(results))])
 
@@ -85,10 +119,11 @@ def _leaf_by_leaf(stage: Stage, function: Callable[..., Any], *operands: Any) ->
 def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
     function, wide, shared = how
     (stage, operands, derived), (_, changes, _) = primals, tangents
+    results = _each(how, stage, operands, derived)
+    operands, changes = _stored_with_changes(operands, changes)
     leaves, tree = jax.tree.flatten(operands)
     changes = jax.tree.leaves(changes, is_leaf=_is_zero)
     moving = [number for number, change in enumerate(changes) if not _is_zero(change)]
-    results = _each(how, stage, operands, derived)
     if not moving:
         return results, jax.tree.map(jnp.zeros_like, results)
     if shared is not None:
@@ -112,10 +147,36 @@ def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
 
         return jax.jvp(of_moving, [widened(number, leaves[number]) for number in moving], directions)[1]
 
-    return results, stage(lambda: change(leaves, derived, directions), f"{_name(function)}.change")
+    return results, stage(change, leaves, derived, directions, name=f"{_name(function)}.change")
 
 
 _each.defjvp(_each_jvp, symbolic_zeros=True)
+
+
+def _stored_with_changes(operands: Any, changes: Any) -> tuple[Any, Any]:
+    """Operands and their changes with nothing inlined: derivatives keep planes, not the arrays that they are cut from."""
+    leaves, tree = jax.tree.flatten(operands, is_leaf=_is_inlined)
+    moves = jax.tree.leaves(changes, is_leaf=lambda value: _is_inlined(value) or _is_zero(value))
+
+    def of(leaf: Any, move: Any) -> tuple[Any, Any]:
+        if not _is_inlined(leaf):
+            return leaf, move
+        values, form = jax.tree.flatten(leaf)
+        steps = jax.tree.leaves(move, is_leaf=_is_zero)
+        moving = [number for number, step in enumerate(steps) if not _is_zero(step)]
+        if not moving:
+            return leaf.stored(), steps[0]
+
+        def of_moving(*some: Array) -> Array:
+            merged = list(values)
+            for number, value in zip(moving, some, strict=True):
+                merged[number] = value
+            return form.unflatten(merged).stored()
+
+        return jax.jvp(of_moving, [values[number] for number in moving], [steps[number] for number in moving])
+
+    pairs = [of(leaf, move) for leaf, move in zip(leaves, moves, strict=True)]
+    return tree.unflatten([leaf for leaf, _ in pairs]), tree.unflatten([move for _, move in pairs])
 
 
 def _name(function: Callable[..., Any]) -> str:

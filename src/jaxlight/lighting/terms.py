@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from . import factors
 from .elementary import ratio
 from .highlight import Highlight
-from .stages import Stage
+from .stages import Stage, stored
 from .surface import MaterialRow
 from .vectors import Vector, dot, inverse_length, inverse_length_in_range, normalised, transform, unit
 from .world import WorldFog, WorldLights
@@ -44,11 +44,15 @@ class Geometry(NamedTuple):
 def geometry(stage: Stage, position: Vector, normal: Vector, eye: Float[Array, 3], low: Array, high: Array) -> Geometry:
     """The tile's geometry, normalised."""
     viewer = Vector(*eye)
-    inverse = stage(lambda: inverse_length(viewer - position))
+    inverse = stage(_inverse_distance, viewer, position)
     to_viewer, distance = stage.each(_normalised_difference, viewer, position, derived=(inverse,))
-    inverse = stage(lambda: inverse_length(normal))
+    inverse = stage(inverse_length, normal)
     unit_normal, _ = stage.each(normalised, normal, derived=(inverse,))
     return Geometry(position, low, high, unit_normal, viewer, to_viewer, distance)
+
+
+def _inverse_distance(end: Vector, start: Vector) -> Array:
+    return inverse_length(end - start)
 
 
 def _normalised_difference(end: Vector, start: Vector, inverse: Array) -> tuple[Vector, Array]:
@@ -146,8 +150,8 @@ def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, highlight: Highli
     if place is not None:
         inverse = lax.cond(
             _squares_in_range(place, tile),
-            lambda: inverse_length_in_range(place - position),
-            lambda: inverse_length(place - position),
+            lambda: inverse_length_in_range(place - stored(position)),
+            lambda: inverse_length(place - stored(position)),
         )
     return stage.each(
         partial(_seen, highlight, lights.asks_distance and lights.to_local is None),

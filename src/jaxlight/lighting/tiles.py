@@ -6,9 +6,10 @@ Derivatives are taken tile by tile too (a tile is computed anew in reverse mode)
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +22,7 @@ from .culling import received_from_near
 from .highlight import highlight_of
 from .plan import Plan
 from .prepared import Prepared, compute_dtype, lanes_of, material_row
-from .stages import Stage
+from .stages import Inlined, Stage, stored
 from .surface import MaterialRow, alpha, base_color, sampled_texture
 from .terms import Geometry, Haze, Received, fogged, geometry, haze, lit, received
 from .vectors import Vector
@@ -132,6 +133,12 @@ def tile_of(plane: Array, index: Array, tile: int) -> Array:
     return lax.dynamic_slice_in_dim(plane, index * tile, tile, axis=-1)
 
 
+def _part(
+    size: tuple[int, ...], shape: tuple[int, ...], dtype: jnp.dtype, array: Array, start: tuple[Array, ...]
+) -> Array:
+    return lax.dynamic_slice(array, start, size).reshape(shape).astype(dtype)
+
+
 def tile_color(
     run: Run,
     prepared: Prepared,
@@ -150,18 +157,20 @@ def tile_color(
     stage = Stage(index >= 0 if run.stop - run.start > count else samples.tile_surface[0] >= 0, forward)
     first = index * count
 
-    def of_tiles(planes: Array) -> Array:
-        """[components, rows, lanes] of [blocks, components, block]."""
+    def unread(planes: Array, component: int, shape: tuple[int, ...]) -> Array:
+        """The tiles' part of planes [blocks, components, block], from a component on, left in its place."""
         block, within = first // samples.group, first % samples.group * samples.tile
-        mine = lax.dynamic_slice(planes, (block, jnp.zeros_like(block), within), (1, planes.shape[1], tile))
-        return mine.reshape(planes.shape[1], -1, lanes).astype(dtype)
+        part = partial(_part, (1, math.prod(shape) // tile, tile), shape, dtype)
+        return cast(Array, Inlined(part, (planes, (block, jnp.full_like(block, component), within))))
 
     def vector(planes: Array) -> Vector:
-        return Vector(*(stage(lambda i=i: of_tiles(planes[:, i : i + 1])[0], "read") for i in range(3)))
+        return Vector(*(unread(planes, i, (tile // lanes, lanes)) for i in range(3)))
 
     def cut(planes: Array, kind: jnp.dtype = dtype) -> Array:
         """The tiles' part of planes [components, slots], [components, rows, lanes]."""
-        return stage(lambda: tile_of(planes, index, tile).astype(kind).reshape(planes.shape[0], -1, lanes), "read")
+        return stage(
+            lambda: tile_of(planes, index, tile).astype(kind).reshape(planes.shape[0], -1, lanes), name="read"
+        )
 
     def bounds(planes: Array, reduce: Callable[..., Array]) -> Array:
         return reduce(lax.dynamic_slice_in_dim(planes, first, count, axis=1), axis=1).astype(dtype)
@@ -171,7 +180,7 @@ def tile_color(
     material = material_row(prepared, surface, row, run.single)
     vertex_color = texel = None
     if surface.color_components and samples.color_planes is not None:
-        vertex_color = stage(partial(of_tiles, samples.color_planes), "read")
+        vertex_color = unread(samples.color_planes, 0, (samples.color_planes.shape[1], tile // lanes, lanes))
     index_planes, weight_planes = samples.texel_index, samples.texel_weight
     if (
         surface.texture >= 0
@@ -192,7 +201,7 @@ def tile_color(
     rgb = stage.each(
         partial(_rgb, surface, plan, (3, tile // lanes, lanes)), material, vertex_color, texel, light, fog
     ).astype(dtype)
-    opacity = alpha(plan.options, material, vertex_color, texel)
+    opacity = alpha(plan.options, material, stored(vertex_color), texel)
     opacity = jnp.broadcast_to(1.0 if opacity is None else opacity, (tile // lanes, lanes)).astype(dtype)
     return Color(rgb.reshape(3, tile), opacity.reshape(tile))
 
@@ -218,6 +227,8 @@ def _light(
 ) -> Received | None:
     """What the lights of all kinds send to a tile; None: there are none."""
     total = None
+    if any(light_plan is not None and light_plan.culled for light_plan in (plan.directional, plan.point, plan.spot)):
+        tile = tile._replace(position=stored(tile.position))
     highlight = highlight_of(plan.options.accuracy) if plan.specular else None
     kinds = zip(
         (prepared.directional, prepared.point, prepared.spot),
@@ -248,7 +259,7 @@ def _scoped(lights: WorldLights, in_scope: Array) -> WorldLights:
 
 def _received_from_all(of: Callable[[WorldLights], Received], lights: WorldLights, tile: Geometry) -> Received:
     """What all lights send, over so many of them at once that their planes stay in the cache."""
-    chunk = max(1, PLANE // tile.position.x.size)
+    chunk = max(1, PLANE // math.prod(tile.position.x.shape))
     if lights.count <= chunk:
         return of(lights)
     count = -(-lights.count // chunk)
