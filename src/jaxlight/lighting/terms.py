@@ -9,8 +9,9 @@ Planes of samples are [rows, lanes], planes of lights and samples [lights, rows,
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
@@ -18,7 +19,7 @@ from jaxtyping import Array, Float
 from . import factors
 from .elementary import ratio
 from .highlight import Highlight
-from .stages import Stage, stored
+from .stages import Inlined, Stage, stored
 from .surface import MaterialRow
 from .vectors import Vector, dot, inverse_length, inverse_length_in_range, normalised, transform, unit
 from .world import WorldFog, WorldLights
@@ -68,8 +69,7 @@ class Received(NamedTuple):
     """What multiplies O_S; None: skipped."""
 
     def __add__(self, other: Received) -> Received:  # type: ignore[override]  # a sum of light, not a tuple's
-        specular = None if self.specular is None or other.specular is None else self.specular + other.specular
-        return Received(self.diffuse + other.diffuse, specular)
+        return jax.tree.map(jnp.add, stored(self), stored(other))
 
 
 def received(
@@ -278,7 +278,9 @@ def _sum_of_colors(
     colors: Float[Array, "3 lights 1 lanes"], weights: Float[Array, "lights rows lanes"]
 ) -> Float[Array, "3 rows lanes"]:
     """Sum over lights of color * weight."""
-    return colors[:, 0] * weights if weights.shape[0] == 1 else jnp.sum(colors * weights, axis=1)
+    if weights.shape[0] == 1:
+        return cast(Array, Inlined(jnp.multiply, (colors[:, 0], weights)))
+    return jnp.sum(colors * weights, axis=1)
 
 
 def lit(
