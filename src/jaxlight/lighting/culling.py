@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Int, UInt32
 from .elementary import arctangent
 from .stages import Stage
 from .terms import Geometry, Received
-from .vectors import Vector, cross, dot
+from .vectors import Vector, cross, dot, squares_in_range
 from .world import WorldLights, in_chunks
 
 CAPACITIES = (64, 256)
@@ -35,11 +35,16 @@ Bounds = tuple[Vector, Vector]
 
 
 def received_from_near(
-    stage: Stage, of: Callable[[WorldLights], Received], lights: WorldLights, tile: Geometry
+    stage: Stage, of: Callable[[WorldLights, Geometry], Received], lights: WorldLights, tile: Geometry
 ) -> Received:
     """The sum of `of` over the lights that reach the samples of a tile."""
     whole = (Vector(*tile.low[:, None]), Vector(*tile.high[:, None]))
     reaches = lax.stop_gradient(may_reach(lights, whole))[:, 0]
+    assert lights.place is not None
+    in_range = squares_in_range(
+        Vector(*(component[:, 0, 0] for component in lights.place)), Vector(*tile.low), Vector(*tile.high)
+    )
+    tile = tile._replace(in_range=tile.in_range & jnp.all(in_range | ~reaches))
     rank = _running_count(reaches)
     count = rank[-1]
 
@@ -113,7 +118,7 @@ def _in_cone(place: Vector, axis: Vector, cut_off_angle: Array, bounds: Bounds) 
 
 def _sum_over_lists(
     stage: Stage,
-    of: Callable[[WorldLights], Received],
+    of: Callable[[WorldLights, Geometry], Received],
     lights: WorldLights,
     reaches: Bool[Array, " lights"],
     tile: Geometry,
@@ -138,7 +143,7 @@ def _sum_over_lists(
                 lambda colors: jnp.where(listed, colors[:, :, 0, 0][:, row], 0.0)[:, :, None],
             )
 
-        return of(stage(listed_lights))
+        return of(stage(listed_lights), tile)
 
     dark = _dark(jax.eval_shape(lambda: of_entries(lights, *entries(jnp.zeros((), jnp.int32)))))
 
@@ -195,7 +200,10 @@ def _running_count(flags: Bool[Array, "lights ..."]) -> Int[Array, "lights ..."]
 
 
 def _sum_over_chunks(
-    of: Callable[[WorldLights], Received], lights: WorldLights, reaches: Bool[Array, " lights"], tile: Geometry
+    of: Callable[[WorldLights, Geometry], Received],
+    lights: WorldLights,
+    reaches: Bool[Array, " lights"],
+    tile: Geometry,
 ) -> Received:
     """The sum over the chunks in which some light reaches the tile."""
     lanes = tile.position.x.shape[-1]
@@ -214,7 +222,7 @@ def _sum_over_chunks(
     def of_chunk(numbers: Array) -> Received:
         parts = jnp.split(numbers, ends[:-1])
         some = tree.unflatten([part.reshape(leaf.shape[1:]) for part, leaf in zip(parts, leaves, strict=True)])
-        return of(some.with_planes(spread, spread))
+        return of(some.with_planes(spread, spread), tile)
 
     @jax.checkpoint
     def add(total: Received, numbers: Array, is_needed: Array) -> Received:

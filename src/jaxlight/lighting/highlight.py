@@ -81,8 +81,8 @@ def aligned(n: Vector, l: Vector, v: Vector) -> Array:
     # 1 / |l + v| here, and not in a stage before: near l = -v another rounding of l has another length of the sum.
     towards = half.scaled(inverse_length_in_range(half))
     difference = n - towards
-    cosine, versine = dot(n, towards), 0.5 * dot(difference, difference)
-    return jnp.where(cosine > 0, jnp.where(versine < 0.25, -versine, cosine), AWAY)
+    cosine, below_one = dot(n, towards), -0.5 * dot(difference, difference)
+    return jnp.where(cosine > 0, jnp.where(below_one > -0.25, below_one, cosine), AWAY)
 
 
 class _AlignedSlopes(NamedTuple):

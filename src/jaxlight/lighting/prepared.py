@@ -8,12 +8,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Bool
 
 from ..raster.samples import LANES, SampleBuffer
 from ..scene import Materials, Scene, Surface
 from .plan import Plan
 from .surface import MaterialRow
+from .vectors import Vector, squares_in_range
 from .world import WorldFog, WorldLights, fog_in_world, lights_in_world, on_lanes
 
 
@@ -29,6 +30,8 @@ class Prepared(eqx.Module):
     """[surfaces, lights] of the kinds above; None: every light reaches every surface."""
     fog: WorldFog | None
     textures: tuple[Array, ...]
+    in_range: Bool[Array, " tiles"]
+    """Whether squared distances from the tile to the viewer, and to all lights that are not culled, are normal."""
     surfaces: tuple[Surface, ...] = eqx.field(static=True)
 
 
@@ -37,6 +40,7 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan) -> Prepared:
     dtype = compute_dtype(samples)
     kinds = [(scene.directional, plan.directional), (scene.point, plan.point), (scene.spot, plan.spot)]
     world: list[WorldLights | None] = []
+    shading_all: list[WorldLights] = []
     scopes: list[Array | None] = []
     for lights, light_plan in kinds:
         if lights is None or light_plan is None:
@@ -44,7 +48,10 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan) -> Prepared:
             scopes.append(None)
             continue
         lanes = 1 if light_plan.culled else lanes_of(samples)
-        world.append(lights_in_world(lights, light_plan, dtype, samples.camera_to_world, lanes))
+        own = lights_in_world(lights, light_plan, dtype, samples.camera_to_world, lanes)
+        world.append(own)
+        if not light_plan.culled:
+            shading_all.append(own)
         rows = slice(None) if light_plan.rows is None else np.asarray(light_plan.rows)
         scopes.append(jnp.asarray(lights.in_scope.array[:, rows]) if light_plan.scoped else None)
     return Prepared(
@@ -59,8 +66,19 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan) -> Prepared:
         if plan.fog is None or scene.fog is None
         else fog_in_world(scene.fog, plan.fog, dtype, lanes_of(samples)),
         textures=tuple(texture.image for texture in scene.textures),
+        in_range=_in_range(samples, dtype, shading_all),
         surfaces=scene.surfaces,
     )
+
+
+def _in_range(samples: SampleBuffer, dtype: jnp.dtype, groups: list[WorldLights]) -> Bool[Array, " tiles"]:
+    low, high = (Vector(*bounds.astype(dtype)) for bounds in (samples.tile_low, samples.tile_high))
+    found = squares_in_range(Vector(*samples.eye.astype(dtype)), low, high)
+    for lights in groups:
+        if lights.place is not None:
+            place = Vector(*(component[:, 0, :1] for component in lights.place))
+            found &= jnp.all(squares_in_range(place, low, high), axis=0)
+    return found
 
 
 def compute_dtype(samples: SampleBuffer) -> jnp.dtype:

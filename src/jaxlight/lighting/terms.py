@@ -8,20 +8,21 @@ Planes of samples are [rows, lanes], planes of lights and samples [lights, rows,
 
 from __future__ import annotations
 
+import operator
 from functools import partial
 from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from . import factors
 from .elementary import ratio
 from .highlight import Highlight
 from .stages import Inlined, Stage, stored
 from .surface import MaterialRow
-from .vectors import Vector, dot, inverse_length, inverse_length_in_range, normalised, transform, unit
+from .vectors import Vector, dot, inverse_length, inverse_length_in_range, normalised, transform, unit, unit_planes
 from .world import WorldFog, WorldLights
 
 
@@ -32,6 +33,8 @@ class Geometry(NamedTuple):
     low: Array
     """Lowest coordinates of the tile, [3]."""
     high: Array
+    in_range: Bool[Array, ""]
+    """Whether squared distances to the viewer and to all lights are normal numbers."""
     normal: Vector
     """Unit normal."""
     eye: Vector
@@ -42,22 +45,39 @@ class Geometry(NamedTuple):
     """Distance to the viewer."""
 
 
-def geometry(stage: Stage, position: Vector, normal: Vector, eye: Float[Array, 3], low: Array, high: Array) -> Geometry:
+def geometry(
+    stage: Stage,
+    position: Vector,
+    normal: Vector,
+    whole,
+    eye: Float[Array, 3],
+    low: Array,
+    high: Array,
+    in_range: Bool[Array, ""],
+) -> Geometry:
     """The tile's geometry, normalised."""
-    viewer = Vector(*eye)
-    inverse = stage(_inverse_distance, viewer, position)
-    to_viewer, distance = stage.each(_normalised_difference, viewer, position, derived=(inverse,))
-    inverse = stage(inverse_length, normal)
-    unit_normal, _ = stage.each(normalised, normal, derived=(inverse,))
-    return Geometry(position, low, high, unit_normal, viewer, to_viewer, distance)
+    place, viewer = position, _components(eye)
+    inverse = lax.cond(
+        in_range,
+        lambda: inverse_length_in_range(stored(viewer) - stored(place)),
+        lambda: inverse_length(stored(viewer) - stored(place)),
+    )
+    to_viewer = stage.each(_directions, eye[:, None, None], whole[0], derived=(inverse,))
+    distance = stage.each(_distance, viewer, place, derived=(inverse,))
+    unit_normal = stage.each(unit_planes, whole[1], derived=(stage(inverse_length, normal),))
+    return Geometry(place, low, high, in_range, _components(unit_normal), viewer, _components(to_viewer), distance)
 
 
-def _inverse_distance(end: Vector, start: Vector) -> Array:
-    return inverse_length(end - start)
+def _components(planes: Float[Array, "3 rows lanes"]) -> Vector:
+    return Vector(*(cast(Array, Inlined(operator.itemgetter(i), (planes,))) for i in range(3)))
 
 
-def _normalised_difference(end: Vector, start: Vector, inverse: Array) -> tuple[Vector, Array]:
-    return normalised(end - start, inverse)
+def _directions(end: Array, start: Array, inverse: Array) -> Array:
+    return unit_planes(end - start, inverse)
+
+
+def _distance(end: Vector, start: Vector, inverse: Array) -> Array:
+    return normalised(end - start, inverse)[1]
 
 
 class Received(NamedTuple):
@@ -149,7 +169,7 @@ def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, highlight: Highli
     place, position, inverse = lights.place, tile.position, None
     if place is not None:
         inverse = lax.cond(
-            _squares_in_range(place, tile),
+            tile.in_range,
             lambda: inverse_length_in_range(place - stored(position)),
             lambda: inverse_length(place - stored(position)),
         )
@@ -253,21 +273,6 @@ def _reach(
     factor = _times(spot, factor)
     # A sample is lit at d == radius.
     return factor if radius is None else jnp.where(distance <= radius, factor, 0.0)
-
-
-def _squares_in_range(place: Vector, tile: Geometry) -> Array:
-    """True if the squared distance of every light to every sample of the tile is a normal number, by its bounds."""
-    nearest, farthest = [], []
-    for component, low, high in zip(place, tile.low, tile.high, strict=True):
-        below, above = low - component, component - high
-        nearest.append(jnp.maximum(below, above))
-        farthest.append(jnp.maximum(jnp.abs(below), jnp.abs(above)))
-    safe = jnp.finfo(tile.low.dtype).max ** 0.4
-    return jnp.all((_largest(nearest) > 1 / safe) & (_largest(farthest) < safe))
-
-
-def _largest(planes: list[Array]) -> Array:
-    return jnp.maximum(jnp.maximum(planes[0], planes[1]), planes[2])
 
 
 def _times(factor: Array | None, value: Array) -> Array:

@@ -133,10 +133,9 @@ def tile_of(plane: Array, index: Array, tile: int) -> Array:
     return lax.dynamic_slice_in_dim(plane, index * tile, tile, axis=-1)
 
 
-def _part(
-    size: tuple[int, ...], shape: tuple[int, ...], dtype: jnp.dtype, array: Array, start: tuple[Array, ...]
-) -> Array:
-    return lax.dynamic_slice(array, start, size).reshape(shape).astype(dtype)
+def _part(shape: tuple[int, ...], dtype: jnp.dtype, array: Array, start: tuple[Array, ...]) -> Array:
+    slots = shape[-2] * shape[-1]
+    return lax.dynamic_slice(array, start, (1, math.prod(shape) // slots, slots)).reshape(shape).astype(dtype)
 
 
 def tile_color(
@@ -157,20 +156,20 @@ def tile_color(
     stage = Stage(index >= 0 if run.stop - run.start > count else samples.tile_surface[0] >= 0, forward)
     first = index * count
 
-    def unread(planes: Array, component: int, shape: tuple[int, ...]) -> Array:
-        """The tiles' part of planes [blocks, components, block], from a component on, left in its place."""
+    def unread(planes: Array, component: int | None = None) -> Array:
+        """The tiles' part of planes [blocks, components, block], [components, rows, lanes] or of one component
+        [rows, lanes], left in its place."""
         block, within = first // samples.group, first % samples.group * samples.tile
-        part = partial(_part, (1, math.prod(shape) // tile, tile), shape, dtype)
-        return cast(Array, Inlined(part, (planes, (block, jnp.full_like(block, component), within))))
+        shape = (tile // lanes, lanes) if component is not None else (planes.shape[1], tile // lanes, lanes)
+        start = (block, jnp.full_like(block, component or 0), within)
+        return cast(Array, Inlined(partial(_part, shape, dtype), (planes, start)))
 
     def vector(planes: Array) -> Vector:
-        return Vector(*(unread(planes, i, (tile // lanes, lanes)) for i in range(3)))
+        return Vector(*(unread(planes, i) for i in range(3)))
 
     def cut(planes: Array, kind: jnp.dtype = dtype) -> Array:
         """The tiles' part of planes [components, slots], [components, rows, lanes]."""
-        return stage(
-            lambda: tile_of(planes, index, tile).astype(kind).reshape(planes.shape[0], -1, lanes), name="read"
-        )
+        return stage(lambda: tile_of(planes, index, tile).astype(kind).reshape(planes.shape[0], -1, lanes), name="read")
 
     def bounds(planes: Array, reduce: Callable[..., Array]) -> Array:
         return reduce(lax.dynamic_slice_in_dim(planes, first, count, axis=1), axis=1).astype(dtype)
@@ -180,7 +179,7 @@ def tile_color(
     material = material_row(prepared, surface, row, run.single)
     vertex_color = texel = None
     if surface.color_components and samples.color_planes is not None:
-        vertex_color = unread(samples.color_planes, 0, (samples.color_planes.shape[1], tile // lanes, lanes))
+        vertex_color = unread(samples.color_planes)
     index_planes, weight_planes = samples.texel_index, samples.texel_weight
     if (
         surface.texture >= 0
@@ -192,7 +191,9 @@ def tile_color(
         texel = sampled_texture(prepared.textures[surface.texture], cut(index_planes, jnp.dtype(jnp.int32)), weight)
     low, high = bounds(samples.tile_low, jnp.min), bounds(samples.tile_high, jnp.max)
     position, normal = vector(samples.position_planes), vector(samples.normal_planes)
-    ground = geometry(stage, position, normal, samples.eye.astype(dtype), low, high)
+    whole = (unread(samples.position_planes), unread(samples.normal_planes))
+    in_range = jnp.all(lax.dynamic_slice_in_dim(prepared.in_range, first, count))
+    ground = geometry(stage, position, normal, whole, samples.eye.astype(dtype), low, high, in_range)
     lit_material = material if surface.lighting == "lit" else None
     light = None if lit_material is None else _light(stage, prepared, plan, ground, lit_material, row)
     fog = None
@@ -242,7 +243,7 @@ def _light(
         if scope is not None:
             lights = _scoped(lights, scope[row])
 
-        def of(some: WorldLights) -> Received:
+        def of(some: WorldLights, tile: Geometry) -> Received:
             return received(stage, some, tile, material, highlight=highlight, specular_gate=plan.options.specular_gate)
 
         light = (
@@ -257,15 +258,17 @@ def _scoped(lights: WorldLights, in_scope: Array) -> WorldLights:
     return dataclasses.replace(lights, color=jnp.where(in_scope[:, None, None], lights.color, 0.0))
 
 
-def _received_from_all(of: Callable[[WorldLights], Received], lights: WorldLights, tile: Geometry) -> Received:
+def _received_from_all(
+    of: Callable[[WorldLights, Geometry], Received], lights: WorldLights, tile: Geometry
+) -> Received:
     """What all lights send, over so many of them at once that their planes stay in the cache."""
     chunk = max(1, PLANE // math.prod(tile.position.x.shape))
     if lights.count <= chunk:
-        return of(lights)
+        return of(lights, tile)
     count = -(-lights.count // chunk)
     chunks = in_chunks(lights, -(-lights.count // count))  # all about as long: what is missing is filled up with black
-    first = jax.eval_shape(of, jax.tree.map(lambda leaf: leaf[0], chunks))
+    first = jax.eval_shape(of, jax.tree.map(lambda leaf: leaf[0], chunks), tile)
     dark = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), first)
     # Checkpoint: what derivatives need of a chunk is computed anew, and never stored for all chunks.
-    total, _ = lax.scan(lambda total, some: (total + jax.checkpoint(of)(some), None), dark, chunks)
+    total, _ = lax.scan(lambda total, some: (total + jax.checkpoint(of)(some, tile), None), dark, chunks)
     return total

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from functools import partial
+from functools import partial, reduce
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .elementary import STEEPEST, power_of_two_above, reciprocal_of_power_of_two, reciprocal_root, second_factor
 
@@ -80,6 +80,19 @@ def _normalised_jvp(primals, tangents):
 
 
 @jax.custom_jvp
+def unit_planes(v: Float[Array, "3 ..."], inverse: Array) -> Float[Array, "3 ..."]:
+    """v / |v| of `normalised` for a vector whose components are one array."""
+    return v * inverse
+
+
+@unit_planes.defjvp
+def _unit_planes_jvp(primals, tangents):
+    (v, inverse), (dv, _) = primals, tangents
+    (u, _), (du, _) = jax.jvp(lambda v: normalised(v, inverse), (Vector(*v),), (Vector(*dv),))
+    return jnp.stack(u), jnp.stack(du)
+
+
+@jax.custom_jvp
 def _normalised_once(v: Vector, inverse: Array) -> tuple[Vector, Array]:
     """`normalised` within its derivative."""
     return normalised(v, inverse)
@@ -143,10 +156,20 @@ def inverse_length_in_range(v: Vector) -> Array:
     return _inverse_root(v)
 
 
+def squares_in_range(place: Vector, low: Vector, high: Vector) -> Bool[Array, "..."]:
+    """Whether the squared distance from `place` to whatever lies between `low` and `high` is surely a normal number."""
+    nearest, farthest = [], []
+    for component, below, above in zip(place, low, high, strict=True):
+        before, behind = below - component, component - above
+        nearest.append(jnp.maximum(before, behind))
+        farthest.append(jnp.maximum(jnp.abs(before), jnp.abs(behind)))
+    safe = jnp.finfo(low.x.dtype).max ** 0.4
+    return (reduce(jnp.maximum, nearest) > 1 / safe) & (reduce(jnp.maximum, farthest) < safe)
+
+
 def _inverse_root(v: Vector) -> Array:
     squared = dot(v, v)
-    is_zero = squared < jnp.finfo(squared.dtype).tiny
-    return jnp.where(is_zero, 0.0, reciprocal_root(jnp.where(is_zero, 1.0, squared)))
+    return jnp.where(squared < jnp.finfo(squared.dtype).tiny, 0.0, reciprocal_root(squared))
 
 
 def _inverse_length_jvp(function, primals, tangents):
