@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..lighting.tiles import tiles_at_once
 from .columns import Columns
 from .curvature import DenseCurvature, NormalEquations
 from .parameters import World
@@ -63,7 +64,8 @@ def _loss(problem: Problem, values: Array, sum_of: Callable[[ViewData, Callable[
 
 
 def _over_all(problem: Problem, view: ViewData, of_tile: Callable[[Any, Tile], Any], carry: Any) -> Any:
-    return over_tiles(problem, view, lambda carry, tile: (of_tile(carry, tile), None), carry)[0]
+    together = tiles_at_once(problem.world.scene, view.samples, view.plan)
+    return over_tiles(problem, view, lambda carry, tile: (of_tile(carry, tile), None), carry, together=together)[0]
 
 
 def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> tuple[Array, Array]:
@@ -182,7 +184,7 @@ def residuals(problem: Problem, values: Float[Array, " parameters"]) -> tuple[Ar
 def view_residual(problem: Problem, world: World, view: ViewData) -> Float[Array, "3 points"]:
     """The weighted residuals of one view, all points at once, in storage order."""
     color = view_colors(scene_of_view(world, view), view, world.exposure[view.row])
-    return weighted_difference(color, view.target, view.root_weight, view)
+    return weighted_difference(color, view.target, view.root_weight, view.dark, view.saturated)
 
 
 def _prior_loss(problem: Problem, values: Array) -> Array:

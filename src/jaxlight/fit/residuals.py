@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import jax
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..lighting import shade_planes
+from ..raster.samples import LANES
 from .views import ViewData
 
 LossKind = Literal["squares", "huber", "cauchy"]
@@ -18,15 +20,16 @@ def weighted_difference(
     color: Float[Array, "3 points"],
     target: Float[Array, "3 points"],
     root_weight: Float[Array, "channels points"],
-    view: ViewData,
+    dark: Array,
+    saturated: Array,
 ) -> Float[Array, "3 points"]:
     """Square root of the weight x (color - target); beyond the sensor's range only the wrong side counts.
 
     A saturated target is a lower limit, a dark one an upper limit (censored observations).
     """
     difference = color - target
-    difference = jnp.where(target >= view.saturated, jnp.minimum(difference, 0), difference)
-    difference = jnp.where(target <= view.dark, jnp.maximum(difference, 0), difference)
+    difference = jnp.where(target >= saturated, jnp.minimum(difference, 0), difference)
+    difference = jnp.where(target <= dark, jnp.maximum(difference, 0), difference)
     return difference * root_weight
 
 
@@ -64,8 +67,9 @@ def _gather(planes: Array, pixel: Array, points: int) -> Array:
 def half_loss(kind: LossKind, scale: Array, residual: Array) -> Array:
     """Half the sum of rho(r^2): squares, Huber (linear beyond `scale`) or Cauchy (logarithmic)."""
     if kind == "squares":
-        flat = residual.reshape(-1)
-        return jnp.vdot(flat, flat, precision="highest") / 2
+        # Lane by lane first: XLA adds up in one go only what is not one number.
+        lanes = residual.reshape(-1, math.gcd(residual.size, LANES))
+        return jnp.sum(jnp.sum(lanes * lanes, axis=0)) / 2
     size = jnp.abs(residual) / scale
     huber = jnp.where(size <= 1, size * size / 2, size - 0.5)
     each = huber if kind == "huber" else jnp.log1p(size * size) / 2

@@ -6,7 +6,8 @@ One view and one tile are in memory at a time; sums carry their rounding errors 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -14,8 +15,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..lighting.prepared import Prepared, prepare
-from ..lighting.stages import Stage
-from ..lighting.tiles import Run, surface_runs, tile_color, tile_of
+from ..lighting.stages import Inlined, Stage, stored
+from ..lighting.tiles import Color, Run, surface_runs, tile_color, tile_of
 from .columns import Columns
 from .part import tiles_of_part
 from .problem import Problem, scene_of_view
@@ -42,10 +43,12 @@ class Tile(NamedTuple):
     run: Run
     index: Int[Array, ""]
     view: ViewData
+    size: int
+    """Samples; several of the buffer's tiles may be one here."""
 
     def cut(self, planes: Array) -> Array:
         """The tile's columns of planes [..., slots]."""
-        return tile_of(planes, self.index, self.view.samples.tile)
+        return tile_of(planes, self.index, self.size)
 
 
 def view_inputs(problem: Problem, view: ViewData, values: Float[Array, " parameters"]) -> ViewInputs:
@@ -174,36 +177,53 @@ def over_tiles(
     of_tile: Callable[[Carry, Tile], tuple[Carry, Any]],
     carry: Carry,
     *,
+    together: int = 1,
     forward: bool = False,
 ) -> tuple[Carry, list[Any]]:
     """Go over all tiles of a view; gives the last carry, and per run what `of_tile` gave beside it, stacked.
 
-    `forward`: residuals are differentiated in forward mode only.
+    `together`: so many neighbouring tiles are one to `of_tile`; `forward`: residuals are differentiated in forward mode
+    only.
     """
     outputs = []
     for run in surface_runs(problem.world.scene.surfaces, view.samples):
 
         def step(carry: Carry, index: Array, run: Run = run) -> tuple[Carry, Any]:
-            return of_tile(carry, _tile(view, run, index, forward))
+            return of_tile(carry, _tile(view, run, index, forward, together))
 
-        carry, output = jax.lax.scan(step, carry, jnp.arange(run.start, run.stop))
+        carry, output = jax.lax.scan(step, carry, jnp.arange(run.start // together, run.stop // together))
         outputs.append(output)
     return carry, outputs
 
 
-def _tile(view: ViewData, run: Run, index: Array, forward: bool) -> Tile:
-    samples = view.samples
+def _tile(view: ViewData, run: Run, index: Array, forward: bool, together: int = 1) -> Tile:
+    size = view.samples.tile * together
 
     def cut(plane: Array) -> Array:
-        return tile_of(plane, index, samples.tile)
+        return cast(Array, Inlined(partial(tile_of, tile=size), (plane, index)))
 
     def residual(inputs: ViewInputs) -> Array:
-        color = tile_color(run, inputs.prepared, samples, view.plan, index, forward=forward)
+        color = tile_color(run, inputs.prepared, view.samples, view.plan, index, together, forward=forward)
         background = None if view.background is None else cut(view.background)
-        rgb = inputs.exposure * composited(color.rgb, color.alpha, background)
-        return weighted_difference(rgb, cut(view.target), cut(view.root_weight), view)
+        measured = (cut(view.target), cut(view.root_weight), view.dark, view.saturated)
+        operands = (inputs.exposure, color, background, *measured)
+        # Derivatives in forward mode move many planes at once: they are not worth a stage of their own.
+        return _residual(*stored(operands)) if forward else Stage(index >= 0).each(_residual, *operands)
 
-    return Tile(residual, run, index, view)
+    return Tile(residual, run, index, view, size)
+
+
+def _residual(
+    exposure: Array,
+    color: Color,
+    background: Array | None,
+    target: Array,
+    root_weight: Array,
+    dark: Array,
+    saturated: Array,
+) -> Float[Array, "3 samples"]:
+    rgb = exposure * composited(color.rgb, color.alpha, background)
+    return weighted_difference(rgb, target, root_weight, dark, saturated)
 
 
 def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:

@@ -154,7 +154,7 @@ _each.defjvp(_each_jvp, symbolic_zeros=True)
 
 
 def _stored_with_changes(operands: Any, changes: Any) -> tuple[Any, Any]:
-    """Operands and their changes with nothing inlined: derivatives keep planes, not the arrays that they are cut from."""
+    """Operands and their changes with nothing inlined: derivatives keep planes, not what they are cut from."""
     leaves, tree = jax.tree.flatten(operands, is_leaf=_is_inlined)
     moves = jax.tree.leaves(changes, is_leaf=lambda value: _is_inlined(value) or _is_zero(value))
 
