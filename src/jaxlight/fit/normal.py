@@ -19,11 +19,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..lighting.tiles import tiles_at_once
+from ..raster.samples import LANES
 from .columns import Columns
 from .curvature import DenseCurvature, NormalEquations
 from .parameters import World
 from .problem import Problem, scene_of_view
-from .residuals import half_loss, reweight, view_colors, weighted_difference
+from .residuals import half_losses, reweight, view_colors, weighted_difference
 from .streaming import (
     Adder,
     Tile,
@@ -51,16 +52,16 @@ def _loss(problem: Problem, values: Array, sum_of: Callable[[ViewData, Callable[
 
     def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
         if view.pixel is not None:
-            return add(carry, (half_loss(*problem.rho, view_residual(problem, problem.at(values), view)),))
+            return add(carry, (half_losses(*problem.rho, view_residual(problem, problem.at(values), view)),))
         inputs = view_inputs(problem, view, values)
 
         def of_tile(carry: Any, tile: Tile) -> Any:
-            return add(carry, (half_loss(*problem.rho, jax.checkpoint(tile.residual)(inputs)),))
+            return add(carry, (half_losses(*problem.rho, jax.checkpoint(tile.residual)(inputs)),))
 
         return sum_of(view, of_tile, carry)
 
-    (total,) = over_views(problem, of_view, (jnp.zeros((), values.dtype),))
-    return total + _prior_loss(problem, values)
+    (total,) = over_views(problem, of_view, (jnp.zeros(LANES, values.dtype),))
+    return jnp.sum(total) + _prior_loss(problem, values)
 
 
 def _over_all(problem: Problem, view: ViewData, of_tile: Callable[[Any, Tile], Any], carry: Any) -> Any:
@@ -75,7 +76,7 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
 
     def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
         if view.pixel is not None:
-            return add(carry, jax.value_and_grad(lambda v: points_loss(view, v))(values))
+            return add(carry, pulled(lambda v: view_residual(problem, problem.at(v), view), values))
 
         def parts_at(values: Array) -> tuple[ViewInputs, ViewInputs]:
             weighing, shaping, fixed = split_inputs(problem, view_inputs(problem, view, values))
@@ -85,22 +86,22 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
         leaves, tree = jax.tree.flatten(moving)
 
         def of_tile(carry: Any, tile: Tile) -> Any:
-            def of_moving(leaves: list[Array]) -> Array:
-                return half_loss(*problem.rho, tile.residual(eqx.combine(tree.unflatten(leaves), fixed)))
-
-            value, slopes = jax.value_and_grad(of_moving)(leaves)
+            value, slopes = pulled(lambda leaves: tile.residual(eqx.combine(tree.unflatten(leaves), fixed)), leaves)
             return add_terms(carry, (value, *slopes))
 
-        zeros = (jnp.zeros((), values.dtype), *map(jnp.zeros_like, leaves))
+        zeros = (jnp.zeros(LANES, values.dtype), *map(jnp.zeros_like, leaves))
         value, *slopes = added_up(_over_all(problem, view, of_tile, (zeros, jax.tree.map(jnp.zeros_like, zeros))))
         return add(carry, (value, *pull(tree.unflatten(slopes))))
 
-    def points_loss(view: ViewData, values: Array) -> Array:
-        return half_loss(*problem.rho, view_residual(problem, problem.at(values), view))
+    def pulled(residual_at: Callable[[Any], Array], at: Any) -> tuple[Array, Any]:
+        """The loss, by lanes, and its gradient."""
+        residual, pull = jax.vjp(residual_at, at)
+        weight = reweight(*problem.rho, residual)
+        return half_losses(*problem.rho, residual), pull(residual if weight is None else weight * residual)[0]
 
-    total, gradient = over_views(problem, of_view, (jnp.zeros((), values.dtype), jnp.zeros_like(values)))
+    total, gradient = over_views(problem, of_view, (jnp.zeros(LANES, values.dtype), jnp.zeros_like(values)))
     prior, prior_gradient = jax.value_and_grad(lambda v: _prior_loss(problem, v))(values)
-    return total + prior, gradient + prior_gradient
+    return jnp.sum(total) + prior, gradient + prior_gradient
 
 
 def normal_equations(problem: Problem, values: Float[Array, " parameters"]) -> NormalEquations:
@@ -143,7 +144,7 @@ def _equations(problem: Problem, values: Float[Array, " parameters"], columns: C
         heard = planes if weight is None else planes * weight[:, None]
         both = jnp.concatenate([planes, residual[:, None]], axis=1)
         product = jnp.einsum("cip,cjp->cij", heard, both, precision="highest")
-        return half_loss(*problem.rho, residual), product[:, :, -1], product[:, :, :-1]
+        return half_losses(*problem.rho, residual), product[:, :, -1], product[:, :, :-1]
 
     def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
         if view.pixel is not None:
@@ -158,7 +159,7 @@ def _equations(problem: Problem, values: Float[Array, " parameters"], columns: C
         return sum_over_tiles(problem, view, of_tile, carry, forward=True)
 
     zeros = (
-        jnp.zeros((), values.dtype),
+        jnp.zeros(LANES, values.dtype),
         jnp.zeros((3, columns.count), values.dtype),
         jnp.zeros((3, columns.count, columns.count), values.dtype),
     )
@@ -167,7 +168,7 @@ def _equations(problem: Problem, values: Float[Array, " parameters"], columns: C
     parameters = problem.parameters
     gradient = gradient + parameters.prior_precision * (values - parameters.prior_mean)
     curvature = (curvature + curvature.T) / 2 + jnp.diag(parameters.prior_precision)
-    return NormalEquations(total + _prior_loss(problem, values), gradient, curvature)
+    return NormalEquations(jnp.sum(total) + _prior_loss(problem, values), gradient, curvature)
 
 
 def residuals(problem: Problem, values: Float[Array, " parameters"]) -> tuple[Array, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Literal
 
 import jax
@@ -64,16 +63,19 @@ def _gather(planes: Array, pixel: Array, points: int) -> Array:
     return jax.ops.segment_sum(planes.T, pixel, num_segments=points + 1)[:points].T
 
 
-def half_loss(kind: LossKind, scale: Array, residual: Array) -> Array:
-    """Half the sum of rho(r^2): squares, Huber (linear beyond `scale`) or Cauchy (logarithmic)."""
+def half_losses(kind: LossKind, scale: Array, residual: Array) -> Float[Array, " lanes"]:
+    """Half the sum of rho(r^2), in parts: squares, Huber (linear beyond `scale`) or Cauchy (logarithmic).
+
+    To be added up by the caller: the processor adds up lanes at once, but one number only term by term.
+    """
     if kind == "squares":
-        # Lane by lane first: XLA adds up in one go only what is not one number.
-        lanes = residual.reshape(-1, math.gcd(residual.size, LANES))
-        return jnp.sum(jnp.sum(lanes * lanes, axis=0)) / 2
-    size = jnp.abs(residual) / scale
-    huber = jnp.where(size <= 1, size * size / 2, size - 0.5)
-    each = huber if kind == "huber" else jnp.log1p(size * size) / 2
-    return scale * scale * jnp.sum(each)
+        each = residual * residual / 2
+    else:
+        size = jnp.abs(residual) / scale
+        huber = jnp.where(size <= 1, size * size / 2, size - 0.5)
+        each = scale * scale * (huber if kind == "huber" else jnp.log1p(size * size) / 2)
+    flat = each.reshape(-1)
+    return jnp.sum(jnp.pad(flat, (0, -flat.size % LANES)).reshape(-1, LANES), axis=0)
 
 
 def reweight(kind: LossKind, scale: Array, residual: Array) -> Array | None:

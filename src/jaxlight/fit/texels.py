@@ -13,10 +13,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..raster.samples import LANES
 from .curvature import ArrowCurvature, Neighbours, NormalEquations
 from .parameters import TexelBlock
 from .problem import Problem
-from .residuals import half_loss, reweight
+from .residuals import half_losses, reweight
 from .sampling import block_of
 from .streaming import Tile, add_terms, added_up, derivatives_by_tile, over_tiles, view_inputs, with_textures
 from .views import ViewData
@@ -45,7 +46,7 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
             sums = add_terms(
                 sums,
                 (
-                    half_loss(*problem.rho, residual),
+                    half_losses(*problem.rho, residual),
                     jnp.matmul(flat, residual.reshape(-1), precision="highest"),
                     jnp.matmul(flat, jacobian.reshape(count, residual.size).T, precision="highest"),
                 ),
@@ -65,7 +66,7 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
         planes = [None if s is None else jnp.moveaxis(s, 1, 0).reshape(s.shape[1], -1) for s in strengths]
         return carry, planes
 
-    zeros = (jnp.zeros((), dtype), jnp.zeros(count, dtype), jnp.zeros((count, count), dtype))
+    zeros = (jnp.zeros(LANES, dtype), jnp.zeros(count, dtype), jnp.zeros((count, count), dtype))
     carry = (
         (zeros, jax.tree.map(jnp.zeros_like, zeros)),
         tuple(jnp.zeros((b.shape[0] * b.shape[1], b.shape[2], count + 3), dtype) for b in parameters.blocks),
@@ -77,7 +78,7 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
     total, gradient, dense = added_up(carry[0])
     table = jnp.concatenate([part.reshape(-1, count + 3) for part in carry[1]])
     texel_part = (table[:, count], table[:, count + 1], table[:, count + 2])
-    return _assembled(problem, values, (total, gradient, dense), table[:, :count], texel_part, strengths)
+    return _assembled(problem, values, (jnp.sum(total), gradient, dense), table[:, :count], texel_part, strengths)
 
 
 def _change_by_texel(tile: Tile, inputs: Any, images: tuple[Array, ...], block: TexelBlock) -> Array:

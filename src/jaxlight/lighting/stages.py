@@ -20,6 +20,8 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool
 
+from .linear_stage import linear_stage
+
 
 class Inlined(eqx.Module):
     """A plane that is not stored: every stage that takes it computes it in its own loop.
@@ -119,64 +121,44 @@ def _leaf_by_leaf(stage: Stage, function: Callable[..., Any], *operands: Any) ->
 def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
     function, wide, shared = how
     (stage, operands, derived), (_, changes, _) = primals, tangents
-    results = _each(how, stage, operands, derived)
-    operands, changes = _stored_with_changes(operands, changes)
     leaves, tree = jax.tree.flatten(operands)
     changes = jax.tree.leaves(changes, is_leaf=_is_zero)
     moving = [number for number, change in enumerate(changes) if not _is_zero(change)]
+    results = _each(how, stage, operands, derived)
     if not moving:
         return results, jax.tree.map(jnp.zeros_like, results)
     if shared is not None:
         derived = (*derived, _leaf_by_leaf(stage, shared, results, *operands, *derived))
 
     shape = jnp.broadcast_shapes(*(result.shape for result in jax.tree.leaves(results)))
-    owner = [position for position, operand in enumerate(operands) for _ in jax.tree.leaves(operand)]
+    is_wide = [
+        position in wide and not _is_inlined(plane)
+        for position, operand in enumerate(operands)
+        for plane in jax.tree.leaves(operand, is_leaf=_is_inlined)
+        for _ in jax.tree.leaves(plane)
+    ]
 
     def widened(number: int, plane: Array) -> Array:
-        return jnp.broadcast_to(plane, shape) if owner[number] in wide else plane
+        return jnp.broadcast_to(plane, shape) if is_wide[number] else plane
 
     directions = [widened(number, changes[number]) for number in moving]
 
-    @partial(jax.checkpoint, prevent_cse=False)
-    def change(leaves: list[Array], derived: Any, directions: list[Array]) -> Any:
+    def change(known: tuple[list[Array], Any], directions: list[Array]) -> Any:
+        leaves, derived = known
+
         def of_moving(*values: Array) -> Any:
             merged = list(leaves)
             for number, value in zip(moving, values, strict=True):
                 merged[number] = value
-            return function(*tree.unflatten(merged), *derived)
+            return function(*stored(tree.unflatten(merged)), *derived)
 
         return jax.jvp(of_moving, [widened(number, leaves[number]) for number in moving], directions)[1]
 
-    return results, stage(change, leaves, derived, directions, name=f"{_name(function)}.change")
+    with jax.named_scope(f"stage.{_name(function)}.change"):
+        return results, linear_stage(stage.always, change, (leaves, derived), directions)
 
 
 _each.defjvp(_each_jvp, symbolic_zeros=True)
-
-
-def _stored_with_changes(operands: Any, changes: Any) -> tuple[Any, Any]:
-    """Operands and their changes with nothing inlined: derivatives keep planes, not what they are cut from."""
-    leaves, tree = jax.tree.flatten(operands, is_leaf=_is_inlined)
-    moves = jax.tree.leaves(changes, is_leaf=lambda value: _is_inlined(value) or _is_zero(value))
-
-    def of(leaf: Any, move: Any) -> tuple[Any, Any]:
-        if not _is_inlined(leaf):
-            return leaf, move
-        values, form = jax.tree.flatten(leaf)
-        steps = jax.tree.leaves(move, is_leaf=_is_zero)
-        moving = [number for number, step in enumerate(steps) if not _is_zero(step)]
-        if not moving:
-            return leaf.stored(), steps[0]
-
-        def of_moving(*some: Array) -> Array:
-            merged = list(values)
-            for number, value in zip(moving, some, strict=True):
-                merged[number] = value
-            return form.unflatten(merged).stored()
-
-        return jax.jvp(of_moving, [values[number] for number in moving], [steps[number] for number in moving])
-
-    pairs = [of(leaf, move) for leaf, move in zip(leaves, moves, strict=True)]
-    return tree.unflatten([leaf for leaf, _ in pairs]), tree.unflatten([move for _, move in pairs])
 
 
 def _name(function: Callable[..., Any]) -> str:

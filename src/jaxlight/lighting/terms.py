@@ -110,12 +110,13 @@ def received(
     ambient = None if lights.ambient is None else (lights.ambient, material.ambient_intensity)
     exponent = power = None
     if highlight is not None and aspect.alignment is not None:
-        exponent = 128.0 * material.shininess
+        # A plane for every light: derivatives are then added up light by light, and only those sums over lights.
+        exponent = stage.each(partial(_exponents, lights.count), material.shininess)
         power = stage(partial(highlight.power, aspect.alignment, exponent))
     for_diffuse, for_specular = stage.each(
         partial(_weights, highlight, specular_gate),
         reaching,
-        aspect,
+        (aspect.facing, aspect.alignment),
         lights.intensity,
         ambient,
         exponent,
@@ -126,11 +127,15 @@ def received(
     return Received(_sum_of_colors(lights.color, for_diffuse), specular_light)
 
 
+def _exponents(lights: int, shininess: Float[Array, "1 lanes"]) -> Float[Array, "lights 1 lanes"]:
+    return jnp.broadcast_to(128.0 * shininess, (lights, *shininess.shape))
+
+
 def _weights(
     highlight: Highlight | None,
     specular_gate: bool,
     reaching: Array | None,
-    aspect: Aspect,
+    seen: tuple[Array, Array | None],
     intensity: Array,
     ambient: tuple[Array, Array] | None,
     exponent: Array | None,
@@ -140,12 +145,13 @@ def _weights(
 
     `power`: the highlight, (N . H)^exponent.
     """
-    diffuse = intensity * factors.positive_part(aspect.facing)
+    facing, alignment = seen
+    diffuse = intensity * factors.positive_part(facing)
     diffuse = _times(reaching, diffuse if ambient is None else diffuse + ambient[0] * ambient[1])
-    if highlight is None or power is None or exponent is None or aspect.alignment is None:
+    if highlight is None or power is None or exponent is None or alignment is None:
         return diffuse, None
-    specular = _times(reaching, intensity * highlight.known_power(power, aspect.alignment, exponent))
-    return diffuse, jnp.where(aspect.facing > 0, specular, 0.0) if specular_gate else specular
+    specular = _times(reaching, intensity * highlight.known_power(power, alignment, exponent))
+    return diffuse, jnp.where(facing > 0, specular, 0.0) if specular_gate else specular
 
 
 class Aspect(NamedTuple):
