@@ -84,11 +84,14 @@ def _transpose(cotangents: Sequence[Any], always: Array, *operands: Any, jaxpr: 
 def _batched(operands: Sequence[Any], axes: Sequence[Any], *, jaxpr: ClosedJaxpr, known: int) -> Any:
     always, *operands = operands
     axis, *axes = axes
+    always = always if axis is batching.not_mapped else jnp.all(always)
+    if all(axis is batching.not_mapped for axis in axes):
+        results = _linear_stage.bind(always, *operands, jaxpr=jaxpr, known=known)
+        return results, [batching.not_mapped] * len(results)
 
     def mapped(here: list[Array], there: list[Array]) -> Any:
         return jax.vmap(jaxpr_as_fun(jaxpr), in_axes=axes)(*here, *there)
 
-    always = always if axis is batching.not_mapped else jnp.all(always)
     results = linear_stage(always, mapped, operands[:known], operands[known:])
     return results, [0] * len(results)
 

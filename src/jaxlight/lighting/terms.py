@@ -45,30 +45,51 @@ class Geometry(NamedTuple):
     """Distance to the viewer."""
 
 
+class Unread(NamedTuple):
+    """Vectors of samples where they lie in memory, in the two forms that XLA reads at full speed."""
+
+    vector: Vector
+    """For loops over samples."""
+    planes: Float[Array, "3 rows lanes"]
+    """For loops over samples and components."""
+
+
 def geometry(
     stage: Stage,
-    position: Vector,
-    normal: Vector,
-    whole,
+    position: Unread,
+    normal: Unread,
     eye: Float[Array, 3],
     low: Array,
     high: Array,
     in_range: Bool[Array, ""],
 ) -> Geometry:
     """The tile's geometry, normalised."""
-    place, viewer = position, _components(eye)
-    inverse = lax.cond(
-        in_range,
-        lambda: inverse_length_in_range(stored(viewer) - stored(place)),
-        lambda: inverse_length(stored(viewer) - stored(place)),
+    viewer = _components(eye)
+    inverse = _inverse_distance(in_range, viewer, position.vector)
+    to_viewer = stage.each(_directions, eye[:, None, None], position.planes, derived=(inverse,))
+    distance = stage.each(_distance, viewer, position.vector, derived=(inverse,))
+    unit_normal = stage.each(unit_planes, normal.planes, derived=(stage(inverse_length, normal.vector),))
+    return Geometry(
+        position=position.vector,
+        low=low,
+        high=high,
+        in_range=in_range,
+        normal=_components(unit_normal),
+        eye=viewer,
+        to_viewer=_components(to_viewer),
+        distance=distance,
     )
-    to_viewer = stage.each(_directions, eye[:, None, None], whole[0], derived=(inverse,))
-    distance = stage.each(_distance, viewer, place, derived=(inverse,))
-    unit_normal = stage.each(unit_planes, whole[1], derived=(stage(inverse_length, normal),))
-    return Geometry(place, low, high, in_range, _components(unit_normal), viewer, _components(to_viewer), distance)
 
 
-def _components(planes: Float[Array, "3 rows lanes"]) -> Vector:
+def _inverse_distance(in_range: Bool[Array, ""], end: Vector, start: Vector) -> Array:
+    return lax.cond(
+        in_range,
+        lambda: inverse_length_in_range(stored(end) - stored(start)),
+        lambda: inverse_length(stored(end) - stored(start)),
+    )
+
+
+def _components(planes: Float[Array, "3 ..."]) -> Vector:
     return Vector(*(cast(Array, Inlined(operator.itemgetter(i), (planes,))) for i in range(3)))
 
 
@@ -174,11 +195,7 @@ def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, highlight: Highli
     """
     place, position, inverse = lights.place, tile.position, None
     if place is not None:
-        inverse = lax.cond(
-            tile.in_range,
-            lambda: inverse_length_in_range(place - stored(position)),
-            lambda: inverse_length(place - stored(position)),
-        )
+        inverse = _inverse_distance(tile.in_range, place, position)
     return stage.each(
         partial(_seen, highlight, lights.asks_distance and lights.to_local is None),
         lights.towards,

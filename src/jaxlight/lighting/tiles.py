@@ -24,7 +24,7 @@ from .plan import Plan
 from .prepared import Prepared, compute_dtype, lanes_of, material_row
 from .stages import Inlined, Stage, stored
 from .surface import MaterialRow, alpha, base_color, sampled_texture
-from .terms import Geometry, Haze, Received, fogged, geometry, haze, lit, received
+from .terms import Geometry, Haze, Received, Unread, fogged, geometry, haze, lit, received
 from .vectors import Vector
 from .world import WorldLights, in_chunks
 
@@ -156,16 +156,15 @@ def tile_color(
     stage = Stage(index >= 0 if run.stop - run.start > count else samples.tile_surface[0] >= 0, forward)
     first = index * count
 
-    def unread(planes: Array, component: int | None = None) -> Array:
-        """The tiles' part of planes [blocks, components, block], [components, rows, lanes] or of one component
-        [rows, lanes], left in its place."""
+    def part(planes: Array, component: int | None = None) -> Array:
+        """The tiles' part of planes [blocks, components, block], of all components or one, left where it lies."""
         block, within = first // samples.group, first % samples.group * samples.tile
-        shape = (tile // lanes, lanes) if component is not None else (planes.shape[1], tile // lanes, lanes)
+        components = planes.shape[1:2] if component is None else ()
         start = (block, jnp.full_like(block, component or 0), within)
-        return cast(Array, Inlined(partial(_part, shape, dtype), (planes, start)))
+        return cast(Array, Inlined(partial(_part, (*components, tile // lanes, lanes), dtype), (planes, start)))
 
-    def vector(planes: Array) -> Vector:
-        return Vector(*(unread(planes, i) for i in range(3)))
+    def unread(planes: Array) -> Unread:
+        return Unread(Vector(*(part(planes, i) for i in range(3))), part(planes))
 
     def cut(planes: Array, kind: jnp.dtype = dtype) -> Array:
         """The tiles' part of planes [components, slots], [components, rows, lanes]."""
@@ -179,7 +178,7 @@ def tile_color(
     material = material_row(prepared, surface, row, run.single)
     vertex_color = texel = None
     if surface.color_components and samples.color_planes is not None:
-        vertex_color = unread(samples.color_planes)
+        vertex_color = part(samples.color_planes)
     index_planes, weight_planes = samples.texel_index, samples.texel_weight
     if (
         surface.texture >= 0
@@ -190,10 +189,9 @@ def tile_color(
         weight = cut(weight_planes)
         texel = sampled_texture(prepared.textures[surface.texture], cut(index_planes, jnp.dtype(jnp.int32)), weight)
     low, high = bounds(samples.tile_low, jnp.min), bounds(samples.tile_high, jnp.max)
-    position, normal = vector(samples.position_planes), vector(samples.normal_planes)
-    whole = (unread(samples.position_planes), unread(samples.normal_planes))
+    position, normal = unread(samples.position_planes), unread(samples.normal_planes)
     in_range = jnp.all(lax.dynamic_slice_in_dim(prepared.in_range, first, count))
-    ground = geometry(stage, position, normal, whole, samples.eye.astype(dtype), low, high, in_range)
+    ground = geometry(stage, position, normal, samples.eye.astype(dtype), low, high, in_range)
     lit_material = material if surface.lighting == "lit" else None
     light = None if lit_material is None else _light(stage, prepared, plan, ground, lit_material, row)
     fog = None

@@ -1,0 +1,138 @@
+"""Stages and their derivatives: the same numbers as without boundaries, in every mode, and no plane copied."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.extend.core import jaxprs_in_params
+from jax.test_util import check_grads
+
+from jaxlight.lighting.linear_stage import linear_stage
+from jaxlight.lighting.stages import Inlined, Stage, stored
+
+ROWS, LANES = 4, 8
+
+
+def _plane(seed: int) -> jax.Array:
+    return jnp.asarray(np.random.default_rng(seed).uniform(0.5, 1.5, (ROWS, LANES)))
+
+
+def _function(plane: jax.Array, number: jax.Array, product: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return plane * number + jnp.sin(product), product * product
+
+
+def _staged(index: Any, plane: jax.Array, number: jax.Array, array: jax.Array) -> tuple[jax.Array, jax.Array]:
+    product = Inlined(jnp.multiply, (plane, Inlined(partial(_part), (array, index))))
+    return Stage(index >= 0).each(_function, plane, number, product, wide=(1,))
+
+
+def _part(array: jax.Array, index: jax.Array) -> jax.Array:
+    return jax.lax.dynamic_index_in_dim(array, index, keepdims=False)
+
+
+def _plain(index: Any, plane: jax.Array, number: jax.Array, array: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return _function(plane, number, plane * array[index])
+
+
+@pytest.fixture
+def inputs() -> tuple[jax.Array, jax.Array, jax.Array]:
+    """A plane, a number on all lanes, and an array of which one plane is read."""
+    with jax.enable_x64(True):
+        return _plane(1), _plane(2)[:1], jnp.stack([_plane(3), _plane(4)])
+
+
+def _pulled(function: Any, inputs: Any) -> Any:
+    """Values and reverse derivatives of a weighted sum of the results."""
+
+    def total(*inputs: jax.Array) -> jax.Array:
+        first, second = function(jnp.asarray(1), *inputs)
+        return jnp.sum(first * _plane(5)) + jnp.sum(second * _plane(6))
+
+    return jax.jit(jax.value_and_grad(total, argnums=(0, 1, 2)))(*inputs)
+
+
+def _assert_close(found: Any, expected: Any) -> None:
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-12, atol=1e-12), found, expected)
+
+
+def test_a_stage_gives_values_and_reverse_derivatives_of_its_function(inputs: Any) -> None:
+    with jax.enable_x64(True):
+        _assert_close(_pulled(_staged, inputs), _pulled(_plain, inputs))
+
+
+def test_a_stage_agrees_with_differences_in_both_modes_and_both_orders(inputs: Any) -> None:
+    with jax.enable_x64(True):
+        check_grads(lambda *inputs: _staged(jnp.asarray(0), *inputs), inputs, order=2, modes=("fwd", "rev"))
+
+
+def test_derivatives_of_a_stage_are_mapped(inputs: Any) -> None:
+    """Over operands, and over the index that its boundary hangs on."""
+    with jax.enable_x64(True):
+        planes, indices = jnp.stack([inputs[0], 2 * inputs[0]]), jnp.asarray([1, 0])
+
+        def slope(function: Any, index: jax.Array, plane: jax.Array) -> Any:
+            return jax.grad(lambda plane: jnp.sum(function(index, plane, *inputs[1:])[0] ** 2))(plane)
+
+        for axes in ((0, 0), (None, 0), (0, None)):
+            arguments = (indices if axes[0] == 0 else indices[0], planes if axes[1] == 0 else planes[0])
+            found, expected = (jax.vmap(partial(slope, f), in_axes=axes)(*arguments) for f in (_staged, _plain))
+            _assert_close(found, expected)
+
+
+def test_the_derivative_of_a_stage_copies_no_plane(inputs: Any) -> None:
+    """No conditional hands on what it was given: XLA would copy it."""
+
+    def total(index: jax.Array, plane: jax.Array, number: jax.Array, array: jax.Array) -> jax.Array:
+        first, second = _staged(index, plane, number, array)
+        return jnp.sum(first) + jnp.sum(second)
+
+    with jax.enable_x64(True):
+        program = jax.make_jaxpr(jax.value_and_grad(total, argnums=(1, 2)))(jnp.asarray(1), *inputs)
+    branches = [branch for equation in _equations(program.jaxpr) for branch in _branches(equation)]
+    assert len(branches) == 2 * 2 + 1  # two results, and their derivative
+    for branch in branches:
+        given = [id(variable) for variable in branch.invars]
+        assert not [result for result in branch.outvars if id(result) in given]
+
+
+def _equations(jaxpr: Any) -> Iterator[Any]:
+    for equation in jaxpr.eqns:
+        yield equation
+        for inner in jaxprs_in_params(equation.params):
+            yield from _equations(inner)
+
+
+def _branches(equation: Any) -> list[Any]:
+    if equation.primitive.name not in ("cond", "linear_stage"):
+        return []
+    return list(jaxprs_in_params(equation.params))
+
+
+def test_a_linear_stage_is_transposed_twice(inputs: Any) -> None:
+    """And what is linear may be more than what is transposed."""
+    with jax.enable_x64(True):
+        plane, number, _ = inputs
+
+        def stage(known: jax.Array, moving: tuple[jax.Array, jax.Array]) -> jax.Array:
+            return linear_stage(known[0, 0] > 0, lambda k, m: k * m[0] + m[1], known, moving)
+
+        there = jax.linear_transpose(lambda a: stage(plane, (a, jnp.zeros_like(a))), plane)
+        back = jax.linear_transpose(lambda ct: there(ct)[0], plane)
+        _assert_close(there(_plane(7))[0], plane * _plane(7))
+        _assert_close(back(_plane(7))[0], plane * _plane(7))
+        both = jax.linear_transpose(partial(stage, plane), (plane, plane))(number * _plane(7))[0]
+        _assert_close(both, (plane * number * _plane(7), number * _plane(7)))
+
+
+def test_what_is_inlined_knows_its_shape_and_is_computed_where_it_is_taken(inputs: Any) -> None:
+    part = Inlined(partial(_part), (inputs[2], jnp.asarray(1)))
+    assert part.shape == (ROWS, LANES)
+    found = stored({"part": part, "other": inputs[0]})
+    assert found["other"] is inputs[0]
+    np.testing.assert_array_equal(found["part"], inputs[2][1])
