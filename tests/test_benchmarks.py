@@ -199,6 +199,6 @@ def test_fits_start_away_from_the_truth_and_are_judged_by_it() -> None:
 
 def test_a_profile_tells_stages_apart() -> None:
     shares, nanoseconds = stage_shares(Workload(2**13, 1), "forward", "full", rounds=3)
-    assert {"read", "seen.alignment", "power", "rgb"} <= set(shares)
+    assert {"directions", "seen.alignment", "power", "rgb"} <= set(shares)
     assert sum(share for share, _ in shares.values()) == pytest.approx(1)
     assert nanoseconds > 0 and all(loops > 0 for _, loops in shares.values())
