@@ -40,11 +40,6 @@ def received_from_near(
     """The sum of `of` over the lights that reach the samples of a tile."""
     whole = (Vector(*tile.low[:, None]), Vector(*tile.high[:, None]))
     reaches = lax.stop_gradient(may_reach(lights, whole))[:, 0]
-    assert lights.place is not None
-    in_range = squares_in_range(
-        Vector(*(component[:, 0, 0] for component in lights.place)), Vector(*tile.low), Vector(*tile.high)
-    )
-    tile = tile._replace(in_range=tile.in_range & jnp.all(in_range | ~reaches))
     rank = _running_count(reaches)
     count = rank[-1]
 
@@ -124,6 +119,7 @@ def _sum_over_lists(
     tile: Geometry,
 ) -> Received:
     """The sum over the lights, each lane taking only those that may reach its samples."""
+    tile = _with_range_of(lights, reaches, tile)
     low = Vector(*(jnp.min(component, axis=0) for component in tile.position))
     high = Vector(*(jnp.max(component, axis=0) for component in tile.position))
     may = lax.stop_gradient(may_reach(lights, (low, high))) & reaches[:, None]
@@ -162,6 +158,14 @@ def _sum_over_lists(
 
     groups = jnp.arange(0, -(-lights.count // CHUNK), GROUP)
     return lax.scan(lambda total, first: (add_group(lights, total, first), None), dark, groups)[0]
+
+
+def _with_range_of(lights: WorldLights, reaches: Bool[Array, " lights"], tile: Geometry) -> Geometry:
+    """The tile, which knows too whether squared distances to the lights that reach it are normal numbers."""
+    assert lights.place is not None
+    place = Vector(*(component[:, 0, 0] for component in lights.place))
+    in_range = squares_in_range(place, Vector(*tile.low), Vector(*tile.high))
+    return tile._replace(in_range=tile.in_range & jnp.all(in_range | ~reaches))
 
 
 def _packed(flags: Bool[Array, "lights lanes"]) -> UInt32[Array, "words lanes"]:
@@ -206,6 +210,7 @@ def _sum_over_chunks(
     tile: Geometry,
 ) -> Received:
     """The sum over the chunks in which some light reaches the tile."""
+    tile = _with_range_of(lights, reaches, tile)
     lanes = tile.position.x.shape[-1]
     chunks = in_chunks(lights, CHUNK)
     padding = -lights.count % CHUNK
