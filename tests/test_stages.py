@@ -28,7 +28,7 @@ def _function(plane: jax.Array, number: jax.Array, product: jax.Array) -> tuple[
 
 
 def _staged(index: Any, plane: jax.Array, number: jax.Array, array: jax.Array) -> tuple[jax.Array, jax.Array]:
-    product = Inlined(jnp.multiply, (plane, Inlined(partial(_part), (array, index))))
+    product = Inlined(jnp.multiply, (plane, Inlined(_part, (array, index))))
     return Stage(index >= 0).each(_function, plane, number, product, wide=(1,))
 
 
@@ -131,7 +131,7 @@ def test_a_linear_stage_is_transposed_twice(inputs: Any) -> None:
 
 
 def test_what_is_inlined_knows_its_shape_and_is_computed_where_it_is_taken(inputs: Any) -> None:
-    part = Inlined(partial(_part), (inputs[2], jnp.asarray(1)))
+    part = Inlined(_part, (inputs[2], jnp.asarray(1)))
     assert part.shape == (ROWS, LANES)
     found = stored({"part": part, "other": inputs[0]})
     assert found["other"] is inputs[0]
