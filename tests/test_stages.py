@@ -114,13 +114,43 @@ def _branches(equation: Any) -> list[Any]:
     return list(jaxprs_in_params(equation.params))
 
 
+def test_derivatives_do_with_less_where_what_is_shared_is_needed_nowhere(inputs: Any) -> None:
+    """What stands in for less has a slope of its own, to show which of the two was taken; mapped over, all take one."""
+
+    def staged(limit: jax.Array, plane: jax.Array) -> jax.Array:
+        def shared(result: jax.Array, plane: jax.Array) -> tuple[jax.Array, jax.Array]:
+            return 2 * plane, jnp.where(plane > plane[0, 0] + 1, plane, 0.0)
+
+        def less(planes: tuple[jax.Array, jax.Array]) -> Any:
+            return planes[1], (jnp.full_like(planes[0], 7.0), None)
+
+        def square(plane: jax.Array, planes: Any = None) -> jax.Array:
+            return plane * plane if planes is None else planes[0] * plane
+
+        return Stage(limit >= 0).each(square, plane, shared=shared, less=less)
+
+    def slope(plane: jax.Array) -> jax.Array:
+        return jax.grad(lambda plane: jnp.sum(staged(jnp.asarray(1), plane)))(plane)
+
+    with jax.enable_x64(True):
+        low = jnp.ones((ROWS, LANES))
+        high = low.at[2, 3].set(5.0)
+        np.testing.assert_allclose(jax.jit(slope)(low), 7.0)
+        np.testing.assert_allclose(jax.jit(slope)(high), 2 * high)
+        np.testing.assert_allclose(jax.jvp(partial(staged, jnp.asarray(1)), (high,), (low,))[1], 2 * high)
+        mapped = jax.jit(jax.vmap(slope))
+        np.testing.assert_allclose(mapped(jnp.stack([low, low])), 7.0)
+        np.testing.assert_allclose(mapped(jnp.stack([low, high])), 2 * jnp.stack([low, high]))
+
+
 def test_a_linear_stage_is_transposed_twice(inputs: Any) -> None:
     """And what is linear may be more than what is transposed."""
     with jax.enable_x64(True):
         plane, number, _ = inputs
 
         def stage(known: jax.Array, moving: tuple[jax.Array, jax.Array]) -> jax.Array:
-            return linear_stage(known[0, 0] > 0, lambda k, m: k * m[0] + m[1], known, moving)
+            which = jnp.where(known[0, 0] > 0, 1, 0)
+            return linear_stage(which, [lambda k, m: k * m[0] + m[1]], known, moving)
 
         there = jax.linear_transpose(lambda a: stage(plane, (a, jnp.zeros_like(a))), plane)
         back = jax.linear_transpose(lambda ct: there(ct)[0], plane)

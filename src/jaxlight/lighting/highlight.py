@@ -26,6 +26,9 @@ class Highlight(NamedTuple):
     """What the power asks to know of N . H, for unit n, l and v; not to be differentiated."""
     slopes: Callable[[Array, Vector, Vector, Vector], Any]
     """From the alignment and n, l and v what its derivatives by all of their components share."""
+    fewer_slopes: Callable[[Any], tuple[Array, Any]] | None
+    """A plane that is positive where all of the slopes is needed and else 0, and slopes with less to compute for where
+    it is 0 everywhere; None: all is always needed."""
     known_alignment: Callable[[Any, Vector, Vector, Vector], Array]
     """`alignment` from its `slopes`, with derivatives by n, l and v."""
     power: Callable[[Array, Array], Array]
@@ -91,8 +94,8 @@ class _AlignedSlopes(NamedTuple):
     alignment: Array
     inverse: Array
     """1 / |l + v|; 0 where N . H <= 0."""
-    share: Array
-    """1 / |l - v|^2 where l and v point apart, |l - v|^2 > 3; else 0."""
+    share: Array | None
+    """1 / |l - v|^2 where l and v point apart, |l - v|^2 > 3; else 0. None: they point apart nowhere."""
 
 
 def _aligned_slopes(alignment: Array, n: Vector, l: Vector, v: Vector) -> _AlignedSlopes:
@@ -104,6 +107,11 @@ def _aligned_slopes(alignment: Array, n: Vector, l: Vector, v: Vector) -> _Align
         jnp.where(alignment == AWAY, 0.0, inverse),
         jnp.where(squared > 3, 1.0 / jnp.maximum(squared, 1.0), 0.0),
     )
+
+
+def _fewer_aligned_slopes(slopes: _AlignedSlopes) -> tuple[Array, _AlignedSlopes]:
+    assert slopes.share is not None
+    return slopes.share, slopes._replace(share=None)
 
 
 @jax.custom_jvp
@@ -120,8 +128,12 @@ def _aligned_known_jvp(primals, tangents):
     -H . d(l - v) / |l - v|, as H . (l - v) = 0: it has nothing to do with the large 1 / |l + v|.
     """
     (slopes, n, l, v), (_, dn, dl, dv) = primals, tangents
-    towards, apart = half_vector(l, v).scaled(slopes.inverse), l - v
+    half = l + v if slopes.share is None else half_vector(l, v)
+    towards, apart = half.scaled(slopes.inverse), l - v
     base = n - towards.scaled(jnp.where(slopes.alignment <= 0, 1.0, 0.0))
+    if slopes.share is None:
+        across = base.scaled(slopes.inverse) - towards.scaled(slopes.inverse * dot(base, towards))
+        return slopes.alignment, dot(across, dl + dv) + dot(towards, dn)
     side = cross(towards, apart)
     own = jnp.where(slopes.share > 0, 0.0, slopes.inverse)
     across = (
@@ -152,7 +164,7 @@ def _power_change(power: Array, x: Array, exponent: Array, dx: Array, d_exponent
     return jnp.where(faces, change, 0.0)
 
 
-FULL = Highlight(aligned, _aligned_slopes, _aligned_known, *_power_of(_power, _power_change))
+FULL = Highlight(aligned, _aligned_slopes, _fewer_aligned_slopes, _aligned_known, *_power_of(_power, _power_change))
 
 # --- fast: fewer operations ------------------------------------------------------------------------------------------
 
@@ -209,6 +221,7 @@ def _power_of_squared_change(power: Array, squared: Array, exponent: Array, d_sq
 FAST = Highlight(
     squared_cosine,
     _squared_slopes,
+    None,
     _squared_known,
     *_power_of(_power_of_squared, _power_of_squared_change),
 )

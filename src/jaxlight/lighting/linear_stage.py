@@ -7,6 +7,7 @@ hand copies of all planes that it was given to the other. The primitive stays wh
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -14,38 +15,40 @@ import jax.numpy as jnp
 from jax import lax
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Int
 
 
-def linear_stage(always: Bool[Array, ""], function: Callable[..., Any], known: Any, moving: Any) -> Any:
-    """function(known, moving), linear in `moving`, behind a boundary.
+def linear_stage(which: Int[Array, ""], functions: Sequence[Callable[..., Any]], known: Any, moving: Any) -> Any:
+    """functions[which - 1](known, moving), linear in `moving`, behind a boundary.
 
     Args:
-        always: true, but only the running program knows.
-        function: closes over no traced value.
+        which: at least 1, but only the running program knows. Mapped over, the largest counts for all.
+        functions: close over no traced value; all give the same shapes.
         known, moving: pytrees of arrays.
     """
     known_leaves, known_tree = jax.tree.flatten(known)
     moving_leaves, moving_tree = jax.tree.flatten(moving)
 
-    def flat(*leaves: Array) -> Any:
+    def flat(function: Callable[..., Any], *leaves: Array) -> Any:
         here, there = leaves[: len(known_leaves)], leaves[len(known_leaves) :]
         return function(known_tree.unflatten(here), moving_tree.unflatten(there))
 
-    jaxpr, shapes = jax.make_jaxpr(flat, return_shape=True)(*known_leaves, *moving_leaves)
-    results = _linear_stage.bind(always, *known_leaves, *moving_leaves, jaxpr=jaxpr, known=len(known_leaves))
-    return jax.tree.structure(shapes).unflatten(results)
+    leaves = (*known_leaves, *moving_leaves)
+    made = [jax.make_jaxpr(partial(flat, function), return_shape=True)(*leaves) for function in functions]
+    jaxprs = tuple(jaxpr for jaxpr, _ in made)
+    results = _linear_stage.bind(which, *leaves, jaxprs=jaxprs, known=len(known_leaves))
+    return jax.tree.structure(made[0][1]).unflatten(results)
 
 
-def _conditional(always: Array, *operands: Array, jaxpr: ClosedJaxpr, known: int) -> Sequence[Array]:
+def _conditional(which: Array, *operands: Array, jaxprs: tuple[ClosedJaxpr, ...], known: int) -> Sequence[Array]:
     def never(*_: Array) -> list[Array]:
-        return [jnp.zeros(result.shape, result.dtype) for result in jaxpr.out_avals]
+        return [jnp.zeros(result.shape, result.dtype) for result in jaxprs[0].out_avals]
 
-    return lax.cond(always, jaxpr_as_fun(jaxpr), never, *operands)
+    return lax.switch(which, [never, *map(jaxpr_as_fun, jaxprs)], *operands)
 
 
-def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, jaxpr: ClosedJaxpr, known: int) -> Any:
-    always, *operands = primals
+def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, jaxprs: tuple[ClosedJaxpr, ...], known: int) -> Any:
+    which, *operands = primals
     changes = tangents[1:]
     moving = [number for number, change in enumerate(changes) if type(change) is not ad.Zero]
 
@@ -53,17 +56,19 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, jaxpr: ClosedJaxpr,
         merged = list(operands)
         for number, value in zip(moving, values, strict=True):
             merged[number] = value
-        return _conditional(always, *merged, jaxpr=jaxpr, known=known)
+        return _conditional(which, *merged, jaxprs=jaxprs, known=known)
 
     return jax.jvp(of_moving, [operands[number] for number in moving], [changes[number] for number in moving])
 
 
-def _transpose(cotangents: Sequence[Any], always: Array, *operands: Any, jaxpr: ClosedJaxpr, known: int) -> list[Any]:
+def _transpose(
+    cotangents: Sequence[Any], which: Array, *operands: Any, jaxprs: tuple[ClosedJaxpr, ...], known: int
+) -> list[Any]:
     linear = [number for number, operand in enumerate(operands) if ad.is_undefined_primal(operand)]
     felt = [number for number, cotangent in enumerate(cotangents) if type(cotangent) is not ad.Zero]
     shapes = [jax.ShapeDtypeStruct(operands[n].aval.shape, operands[n].aval.dtype) for n in linear]
 
-    def pulled(here: tuple[Array, ...], back: list[Array]) -> list[Array]:
+    def pulled(jaxpr: ClosedJaxpr, here: tuple[Array, ...], back: list[Array]) -> list[Array]:
         def of_linear(*values: Array) -> list[Array]:
             # What else it is linear in does not matter to its transpose.
             merged = [*here, *(jnp.zeros(a.shape, a.dtype) for a in jaxpr.in_avals[known:])]
@@ -74,32 +79,33 @@ def _transpose(cotangents: Sequence[Any], always: Array, *operands: Any, jaxpr: 
 
         return list(jax.linear_transpose(of_linear, *shapes)(back))
 
-    found = linear_stage(always, pulled, tuple(operands[:known]), [cotangents[number] for number in felt])
+    functions = [partial(pulled, jaxpr) for jaxpr in jaxprs]
+    found = linear_stage(which, functions, tuple(operands[:known]), [cotangents[number] for number in felt])
     result: list[Any] = [None] * (1 + len(operands))
     for number, cotangent in zip(linear, found, strict=True):
         result[1 + number] = cotangent
     return result
 
 
-def _batched(operands: Sequence[Any], axes: Sequence[Any], *, jaxpr: ClosedJaxpr, known: int) -> Any:
-    always, *operands = operands
+def _batched(operands: Sequence[Any], axes: Sequence[Any], *, jaxprs: tuple[ClosedJaxpr, ...], known: int) -> Any:
+    which, *operands = operands
     axis, *axes = axes
-    always = always if axis is batching.not_mapped else jnp.all(always)
+    which = which if axis is batching.not_mapped else jnp.max(which)
     if all(axis is batching.not_mapped for axis in axes):
-        results = _linear_stage.bind(always, *operands, jaxpr=jaxpr, known=known)
+        results = _linear_stage.bind(which, *operands, jaxprs=jaxprs, known=known)
         return results, [batching.not_mapped] * len(results)
 
-    def mapped(here: list[Array], there: list[Array]) -> Any:
+    def mapped(jaxpr: ClosedJaxpr, here: list[Array], there: list[Array]) -> Any:
         return jax.vmap(jaxpr_as_fun(jaxpr), in_axes=axes)(*here, *there)
 
-    results = linear_stage(always, mapped, operands[:known], operands[known:])
+    results = linear_stage(which, [partial(mapped, jaxpr) for jaxpr in jaxprs], operands[:known], operands[known:])
     return results, [0] * len(results)
 
 
 _linear_stage = Primitive("linear_stage")
 _linear_stage.multiple_results = True
 _linear_stage.def_impl(_conditional)
-_linear_stage.def_abstract_eval(lambda *_, jaxpr, known: jaxpr.out_avals)
+_linear_stage.def_abstract_eval(lambda *_, jaxprs, known: jaxprs[0].out_avals)
 mlir.register_lowering(_linear_stage, mlir.lower_fun(_conditional, multiple_results=True))
 ad.primitive_jvps[_linear_stage] = _jvp
 ad.primitive_transposes[_linear_stage] = _transpose

@@ -80,6 +80,7 @@ class Stage(eqx.Module):
         derived: tuple[Any, ...] = (),
         wide: tuple[int, ...] = (),
         shared: Callable[..., Any] | None = None,
+        less: Callable[[Any], tuple[Array, Any]] | None = None,
     ) -> Any:
         """function(*operands, *derived), each result a stage of its own; all their derivatives are one more stage.
 
@@ -94,13 +95,15 @@ class Stage(eqx.Module):
             shared: shared(results, *operands, *derived) gives planes that derivatives by several operands share, each
                 a stage of its own; XLA would compute them once for every operand. For derivatives `function` is given
                 them as one more of `derived`.
+            less: less(what is shared) gives a plane that is positive where that is needed and else 0, and what does as
+                well, with less to compute, if it is needed nowhere.
         """
-        return _each((function, () if self.forward else wide, shared), self, operands, derived)
+        return _each((function, () if self.forward else wide, shared, less), self, operands, derived)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _each(
-    how: tuple[Callable[..., Any], tuple[int, ...], Callable[..., Any] | None],
+    how: tuple[Callable[..., Any], tuple[int, ...], Callable[..., Any] | None, Callable[..., Any] | None],
     stage: Stage,
     operands: tuple[Any, ...],
     derived: tuple[Any, ...],
@@ -119,7 +122,7 @@ def _leaf_by_leaf(stage: Stage, function: Callable[..., Any], *operands: Any) ->
 
 
 def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
-    function, wide, shared = how
+    function, wide, shared, less = how
     (stage, operands, derived), (_, changes, _) = primals, tangents
     leaves, tree = jax.tree.flatten(operands)
     changes = jax.tree.leaves(changes, is_leaf=_is_zero)
@@ -127,8 +130,15 @@ def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
     results = _each(how, stage, operands, derived)
     if not moving:
         return results, jax.tree.map(jnp.zeros_like, results)
+    which, choices = stage.always.astype(jnp.int32), [derived]
     if shared is not None:
-        derived = (*derived, _leaf_by_leaf(stage, shared, results, *operands, *derived))
+        planes = _leaf_by_leaf(stage, shared, results, *operands, *derived)
+        choices = [(*derived, planes)]
+        if less is not None:
+            needed, fewer = less(planes)
+            lanes = stage(partial(jnp.sum, axis=-2), needed, name=f"{_name(function)}.needed")
+            which = jnp.where(jnp.any(lanes > 0), 2 * which, which)
+            choices = [(*derived, fewer), (*derived, planes)]
 
     shape = jnp.broadcast_shapes(*(result.shape for result in jax.tree.leaves(results)))
     is_wide = [
@@ -143,8 +153,8 @@ def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
 
     directions = [widened(number, changes[number]) for number in moving]
 
-    def change(known: tuple[list[Array], Any], directions: list[Array]) -> Any:
-        leaves, derived = known
+    def change(choice: int, known: tuple[list[Array], list[Any]], directions: list[Array]) -> Any:
+        leaves, derived = known[0], known[1][choice]
 
         def of_moving(*values: Array) -> Any:
             merged = list(leaves)
@@ -155,7 +165,8 @@ def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
         return jax.jvp(of_moving, [widened(number, leaves[number]) for number in moving], directions)[1]
 
     with jax.named_scope(f"stage.{_name(function)}.change"):
-        return results, linear_stage(stage.always, change, (leaves, derived), directions)
+        functions = [partial(change, choice) for choice in range(len(choices))]
+        return results, linear_stage(which, functions, (leaves, choices), directions)
 
 
 _each.defjvp(_each_jvp, symbolic_zeros=True)

@@ -207,6 +207,7 @@ def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, highlight: Highli
         derived=(inverse,),
         wide=(0, 1, 2, 3, 4, 5),
         shared=None if highlight is None else partial(_slopes, highlight),
+        less=None if highlight is None else highlight.fewer_slopes,
     )
 
 
