@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxlight import Scene, nodes
+from jaxlight.fit.free import free_parameters
+from jaxlight.fit.parameters import World
 from jaxlight.scene import paths
 
 
@@ -132,3 +135,23 @@ def test_light_rows(scene: Scene) -> None:
         paths.light_rows(scene, ["PointLight[sun]"])
     with pytest.raises(ValueError, match="expected a light such as"):
         paths.light_rows(scene, ["Material[body]"])
+
+
+def test_hundreds_of_paths_are_free_at_the_cost_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A list of all fields of all lights means what the wildcard means, and the scene is gone through no more often."""
+    lights = [nodes.PointLight(location=(i, 0, 1), intensity=0.5) for i in range(40)]
+    world = World(Scene.from_nodes([nodes.Shape(), *lights]), jnp.ones(1))
+    every = [field.path for field in paths.fields(world.scene) if field.path.startswith("PointLight")]
+    looked_up, fields = [], paths.fields
+
+    def counted(scene: Scene) -> list[paths.Field]:
+        looked_up.append(scene)
+        return fields(scene)
+
+    monkeypatch.setattr(paths, "fields", counted)
+    one, of_one = free_parameters(world, "PointLight[*].*", ["view"], np.float32)
+    once = len(looked_up)
+    many, of_many = free_parameters(world, every, ["view"], np.float32)
+    assert once >= 1 and len(looked_up) == 2 * once
+    assert [field.path for field in of_many] == [field.path for field in of_one] == every
+    np.testing.assert_array_equal(many.start, one.start)

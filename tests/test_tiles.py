@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,7 +15,7 @@ from jaxlight import Scene, nodes
 from jaxlight.fit import View
 from jaxlight.fit.normal import loss_and_gradient
 from jaxlight.fit.problem import make_problem
-from jaxlight.lighting import make_plan, shade, shade_tiles
+from jaxlight.lighting import cores, make_plan, shade, shade_tiles
 from jaxlight.lighting.tiles import in_fitting_tiles
 from jaxlight.raster import SampleBuffer
 
@@ -75,6 +78,39 @@ def test_split_tiles_change_no_colour_and_no_derivative() -> None:
     of_large, of_small = (jax.jit(jax.grad(loss))(free, samples) for samples in (large, small))
     for ours, other in zip(jax.tree.leaves(of_large), jax.tree.leaves(of_small), strict=True):
         np.testing.assert_allclose(ours, other, rtol=2e-5, atol=2e-5 * (float(np.abs(other).max()) + 1))
+
+
+@pytest.mark.parametrize(("lights", "shares"), [(1, 2), (1, 5), (20, 3)])
+def test_several_cores_change_no_colour(monkeypatch: pytest.MonkeyPatch, lights: int, shares: int) -> None:
+    """Shares of the tiles, side by side; runs of few tiles have fewer than there are shares."""
+    scene, samples = scene_with_lights(lights), samples_in_tiles(1024)
+    alone = np.asarray(shade_tiles(scene, samples))
+    threads = []
+
+    def in_threads(function: Any, number: int) -> list[Any]:
+        threads.append(number)
+        return cores.in_threads(function, number)
+
+    monkeypatch.setattr(cores, "cores", lambda: shares)
+    monkeypatch.setattr(cores, "LEAST_SAMPLES", 1024)
+    monkeypatch.setattr(importlib.import_module("jaxlight.lighting.shade"), "in_threads", in_threads)
+    np.testing.assert_array_equal(shade_tiles(scene, samples), alone)
+    assert threads == [shares]
+
+
+def test_few_samples_are_not_worth_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cores, "cores", lambda: 16)
+    assert cores.shares_of(0) == cores.shares_of(2 * cores.LEAST_SAMPLES - 1) == 1
+    assert cores.shares_of(3 * cores.LEAST_SAMPLES) == 3
+    assert cores.shares_of(10**7) == 16
+
+
+def test_what_fails_in_a_thread_is_raised() -> None:
+    def fail(share: int) -> None:
+        raise ValueError(f"share {share}")
+
+    with pytest.raises(ValueError, match="share 0"):
+        cores.in_threads(fail, 2)
 
 
 def test_a_fit_in_split_tiles_hears_every_sample() -> None:

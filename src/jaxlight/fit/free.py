@@ -83,8 +83,9 @@ def free_parameters(
     taken: dict[tuple[Any, int], int] = {}
     members: dict[str, list[tuple[_Chosen, int]]] = {}
     whole: list[tuple[Free, paths.Leaf]] = []
+    catalogue = _Catalogue(world)
     for request in requests:
-        chosen, textures = _choose(world, request.where, view_names, blocks=blocks and not request.tied)
+        chosen, textures = _choose(catalogue, request.where, view_names, blocks=blocks and not request.tied)
         whole += [(request, leaf) for leaf in textures]
         if not chosen and textures:
             continue
@@ -103,7 +104,7 @@ def free_parameters(
             tie = 0 if request.tied == "all" else component
             if (one.leaf, one.element) in taken:
                 raise ValueError(f"free: {one.label} is named twice")
-            value = _value(world, one)
+            value = catalogue.value(one)
             if request.tied and tie in first_of_row:
                 number = first_of_row[tie]
             else:
@@ -206,29 +207,56 @@ def _requests(free: Any) -> list[Free]:
     return requests
 
 
+class _Catalogue:
+    """All fields of the world, looked up once: as many paths as fields may come."""
+
+    def __init__(self, world: World) -> None:
+        self.scene = world.scene
+        self._exposure = np.asarray(world.exposure)
+        self._arrays: dict[paths.Leaf, np.ndarray] = {}
+        self._fields: dict[paths.Leaf, dict[tuple[int, ...], tuple[int, paths.Field]]] = {}
+        for place, field in enumerate(paths.fields(world.scene)):
+            self._fields.setdefault(field.leaf, {})[field.index] = place, field
+
+    def fields_in(self, leaf: paths.Leaf, mask: np.ndarray) -> list[tuple[int, paths.Field]]:
+        """The fields of a leaf of which some number is in the mask, and their places in the order of all."""
+        fields = self._fields[leaf]
+        if () in fields:
+            return [fields[()]]
+        rows = np.flatnonzero(mask.reshape(len(mask), -1).any(axis=1))
+        return [fields[row,] for row in rows.tolist()]
+
+    def value(self, one: _Chosen) -> float:
+        """The present value of a number."""
+        if one.leaf is not None and one.leaf not in self._arrays:
+            self._arrays[one.leaf] = np.asarray(one.leaf.get(self.scene)).reshape(-1)
+        array = self._exposure if one.leaf is None else self._arrays[one.leaf]
+        value = float(array[one.element])
+        if not np.isfinite(value):
+            raise ValueError(f"{one.label}: a free field must start at a finite value, got {value}")
+        return value
+
+
 def _choose(
-    world: World, where: Any, view_names: Sequence[str], *, blocks: bool
+    catalogue: _Catalogue, where: Any, view_names: Sequence[str], *, blocks: bool
 ) -> tuple[list[_Chosen], list[paths.Leaf]]:
     """The numbers that the paths mean, in the order of the scene's fields, and the textures that are meant whole."""
     each = [where] if isinstance(where, str) or callable(where) else list(where)
     exposures = [path for path in each if isinstance(path, str) and path.startswith("View[")]
     chosen = []
-    selections = paths.select(world.scene, [path for path in each if path not in exposures])
+    selections = paths.select(catalogue.scene, [path for path in each if path not in exposures])
     masks = {selection.leaf: selection.mask for selection in selections}
     textures = [
         leaf
         for leaf, mask in masks.items()
         if blocks and leaf.kind == "Texture" and mask.size >= MIN_BLOCK and np.all(mask)
     ]
-    for field in paths.fields(world.scene):
-        if field.leaf not in masks or field.leaf in textures:
-            continue
+    meant = [found for leaf in masks.keys() - set(textures) for found in catalogue.fields_in(leaf, masks[leaf])]
+    for _, field in sorted(meant, key=lambda found: found[0]):
         mask = masks[field.leaf]
         numbers = np.arange(mask.size).reshape(mask.shape)[field.index].reshape(-1)
         wanted = mask[field.index].reshape(-1)
-        if not np.any(wanted):
-            continue
-        labels, row = field.labels(world.scene), field.index[0] if field.index else 0
+        labels, row = field.labels(catalogue.scene), field.index[0] if field.index else 0
         for component in np.flatnonzero(wanted).tolist():
             label, element = labels[component], int(numbers[component])
             chosen.append(_Chosen(field.path, label, field.leaf, row, component, element, field.leaf.range))
@@ -259,14 +287,6 @@ def _check_tie(chosen: list[_Chosen], rows: list[str]) -> None:
     if len(set(sizes.values())) > 1:
         listed = ", ".join(f"{row} ({size})" for row, size in sizes.items())
         raise ValueError(f"free: tied fields need the same number of components; got {listed}")
-
-
-def _value(world: World, one: _Chosen) -> float:
-    leaf = world.exposure if one.leaf is None else one.leaf.get(world.scene)
-    value = float(np.asarray(leaf).reshape(-1)[one.element])
-    if not np.isfinite(value):
-        raise ValueError(f"{one.label}: a free field must start at a finite value, got {value}")
-    return value
 
 
 def _check_lengths(request: Free, chosen: list[_Chosen]) -> None:

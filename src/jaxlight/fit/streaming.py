@@ -120,15 +120,16 @@ def derivatives_by_tile(
         shaping, shapes_move = eqx.combine(weighing, shaping), eqx.combine(weights_too, shapes_move)
 
     def of_tile(tile: Tile) -> tuple[Array, Array]:
-        residual = tile.residual(eqx.combine(weighing, shaping, fixed))
-        planes = [jnp.zeros((3, 0, residual.shape[1]), residual.dtype)]
-        stage = Stage(tile.index >= 0)
+        planes, stage = [], Stage(tile.index >= 0)
         if columns.weighing.shape[0]:
             residual, push = jax.linearize(lambda w: tile.residual(eqx.combine(w, shaping, fixed)), weighing)
             planes.append(stage(lambda: jax.vmap(push, out_axes=1)(weights_move)))
         if columns.shaping.shape[0]:
             residual, push = jax.linearize(lambda s: tile.residual(eqx.combine(s, weighing, fixed)), shaping)
             planes.append(stage(lambda: jax.vmap(push, out_axes=1)(shapes_move)))
+        if not planes:
+            residual = tile.residual(eqx.combine(weighing, shaping, fixed))
+            planes.append(jnp.zeros((3, 0, residual.shape[1]), residual.dtype))
         return residual, jnp.concatenate(planes, axis=1)
 
     return of_tile

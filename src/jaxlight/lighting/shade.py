@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..raster.samples import SampleBuffer
 from ..scene import Scene
+from .cores import in_threads, shares_of
 from .options import LightingOptions
 from .plan import Plan, make_plan
 from .prepared import compute_dtype, prepare
 from .registers import WIDE
-from .tiles import colors_of_run, in_fitting_tiles, surface_runs, tiles_at_once
+from .tiles import Share, colors_of_run, in_fitting_tiles, joined_shares, surface_runs, tiles_at_once
 
 
 def shade(
@@ -53,25 +55,58 @@ def shade_tiles(
     check_samples(scene, samples)
     if plan is None:
         plan = make_plan(scene, samples, options)
-    compiled = _shade_tiles_wide if _runs_alone_on_cpu(scene, samples) else _shade_tiles
-    return compiled(_without_document(scene), samples, plan)
+    scene = _without_document(scene)
+    if not _runs_alone_on_cpu(scene, samples):
+        return _shade_tiles(scene, samples, plan)
+    shares = shares_of(samples.slots)
+    if shares == 1:
+        return _shade_tiles_wide(scene, samples, plan)
+    colors = in_threads(lambda number: _shade_share(scene, samples, plan, number, shares), shares)
+    return _joined(colors, tuple(run.stop - run.start for run in surface_runs(scene.surfaces, samples)), samples.tile)
 
 
 def _tiles_of(scene: Scene, samples: SampleBuffer, plan: Plan) -> Array:
-    tile, samples = samples.tile, in_fitting_tiles(scene, samples, plan)
+    return _in_one(_colors_of_runs(scene, samples, plan), samples.tile, compute_dtype(samples))
+
+
+def _colors_of_runs(
+    scene: Scene, samples: SampleBuffer, plan: Plan, share: Share | None = None
+) -> list[Float[Array, "tiles 4 tile"]]:
+    """The colours of the tiles that suit the plan, run by run."""
+    samples = in_fitting_tiles(scene, samples, plan)
     prepared = prepare(scene, samples, plan)
     count = tiles_at_once(scene, samples, plan)
-    runs = [colors_of_run(run, prepared, samples, plan, count) for run in surface_runs(scene.surfaces, samples)]
+    return [colors_of_run(run, prepared, samples, plan, count, share) for run in surface_runs(scene.surfaces, samples)]
+
+
+def _in_one(runs: list[Array], tile: int, dtype: jnp.dtype) -> Float[Array, "tiles 4 tile"]:
+    """The colours of all runs in the buffer's own tiles."""
     if not runs:
-        return jnp.zeros((0, 4, tile), compute_dtype(samples))
+        return jnp.zeros((0, 4, tile), dtype)
     colors = jnp.concatenate(runs) if len(runs) > 1 else runs[0]
-    if samples.tile == tile:
+    fitting = colors.shape[-1]
+    if fitting == tile:
         return colors
-    return jnp.swapaxes(colors.reshape(-1, tile // samples.tile, 4, samples.tile), 1, 2).reshape(-1, 4, tile)
+    return jnp.swapaxes(colors.reshape(-1, tile // fitting, 4, fitting), 1, 2).reshape(-1, 4, tile)
 
 
 _shade_tiles = jax.jit(_tiles_of, static_argnames="plan")
 _shade_tiles_wide = jax.jit(_tiles_of, static_argnames="plan", compiler_options=WIDE)
+
+
+@partial(jax.jit, static_argnames=("plan", "shares"), compiler_options=WIDE)
+def _shade_share(scene: Scene, samples: SampleBuffer, plan: Plan, number: Int[Array, ""], shares: int) -> list[Array]:
+    return _colors_of_runs(scene, samples, plan, Share(number, shares))
+
+
+@partial(jax.jit, static_argnames=("lengths", "tile"))
+def _joined(shares: list[list[Array]], lengths: tuple[int, ...], tile: int) -> Array:
+    """`_shade_tiles` from all shares of runs of so many of the buffer's tiles."""
+    finer = tile // shares[0][0].shape[-1]
+    runs = [
+        joined_shares(list(run), length * finer) for run, length in zip(zip(*shares, strict=True), lengths, strict=True)
+    ]
+    return _in_one(runs, tile, shares[0][0].dtype)
 
 
 def _runs_alone_on_cpu(scene: Scene, samples: SampleBuffer) -> bool:

@@ -54,6 +54,29 @@ def _is_inlined(value: Any) -> bool:
     return isinstance(value, Inlined)
 
 
+def _shapes_of(function: Callable[..., Any], operands: tuple[Any, ...]) -> Any:
+    return jax.eval_shape(lambda: function(*stored(operands)))
+
+
+def change_of(function: Callable[..., Any], primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> Any:
+    """The change of function(*primals) by those tangents that are not symbolic zeros."""
+    leaves, tree = jax.tree.flatten(primals)
+    changes = jax.tree.leaves(tangents, is_leaf=_is_zero)
+    moving = [number for number, change in enumerate(changes) if not _is_zero(change)]
+
+    def of_moving(*values: Array) -> Any:
+        return function(*tree.unflatten(_merged(leaves, moving, values)))
+
+    return jax.jvp(of_moving, [leaves[number] for number in moving], [changes[number] for number in moving])[1]
+
+
+def _merged(leaves: list[Array], numbers: list[int], values: tuple[Array, ...]) -> list[Array]:
+    merged = list(leaves)
+    for number, value in zip(numbers, values, strict=True):
+        merged[number] = value
+    return merged
+
+
 class Stage(eqx.Module):
     """Evaluates functions behind a boundary; `always` is true, but only the running program knows."""
 
@@ -63,15 +86,26 @@ class Stage(eqx.Module):
 
     def __call__(self, function: Callable[..., Any], *operands: Any, name: str = "") -> Any:
         """function(*operands), a stage of its own; `name` (default: the function's) is for profiles."""
+        return self._bounded(function, operands, _shapes_of(function, operands), name or _name(function))
 
-        def of_stored() -> Any:
-            return function(*stored(operands))
+    def leaf_by_leaf(self, function: Callable[..., Any], *operands: Any) -> Any:
+        """function(*operands), each result a stage of its own."""
+        shapes, tree = jax.tree_util.tree_flatten_with_path(_shapes_of(function, operands))
 
+        def result(number: int) -> Array:
+            path, shape = shapes[number]
+            name = _name(function) + jax.tree_util.keystr(path)
+            return self._bounded(lambda *given: jax.tree.leaves(function(*given))[number], operands, shape, name)
+
+        return tree.unflatten([result(number) for number in range(len(shapes))])
+
+    def _bounded(self, function: Callable[..., Any], operands: tuple[Any, ...], shapes: Any, name: str) -> Any:
         def never() -> Any:
-            return jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(of_stored))
+            # Zeros, made of `always`: XLA takes two equal stages for one only if both branches are given something.
+            return jax.tree.map(lambda shape: jnp.full(shape.shape, self.always, shape.dtype), shapes)
 
-        with jax.named_scope(f"stage.{name or _name(function)}"):
-            return lax.cond(self.always, of_stored, never)
+        with jax.named_scope(f"stage.{name}"):
+            return lax.cond(self.always, lambda: function(*stored(operands)), never)
 
     def each(
         self,
@@ -108,17 +142,7 @@ def _each(
     operands: tuple[Any, ...],
     derived: tuple[Any, ...],
 ) -> Any:
-    return _leaf_by_leaf(stage, how[0], *operands, *derived)
-
-
-def _leaf_by_leaf(stage: Stage, function: Callable[..., Any], *operands: Any) -> Any:
-    results, tree = jax.tree_util.tree_flatten_with_path(jax.eval_shape(lambda: function(*stored(operands))))
-
-    def result(number: int) -> Array:
-        name = _name(function) + jax.tree_util.keystr(results[number][0])
-        return stage(lambda *operands: jax.tree.leaves(function(*operands))[number], *operands, name=name)
-
-    return tree.unflatten([result(number) for number in range(len(results))])
+    return stage.leaf_by_leaf(how[0], *operands, *derived)
 
 
 def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
@@ -132,7 +156,7 @@ def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
         return results, jax.tree.map(jnp.zeros_like, results)
     which, choices = stage.always.astype(jnp.int32), [derived]
     if shared is not None:
-        planes = _leaf_by_leaf(stage, shared, results, *operands, *derived)
+        planes = stage.leaf_by_leaf(shared, results, *operands, *derived)
         choices = [(*derived, planes)]
         if less is not None:
             needed, fewer = less(planes)
@@ -157,10 +181,7 @@ def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
         leaves, derived = known[0], known[1][choice]
 
         def of_moving(*values: Array) -> Any:
-            merged = list(leaves)
-            for number, value in zip(moving, values, strict=True):
-                merged[number] = value
-            return function(*stored(tree.unflatten(merged)), *derived)
+            return function(*stored(tree.unflatten(_merged(leaves, moving, values))), *derived)
 
         return jax.jvp(of_moving, [widened(number, leaves[number]) for number in moving], directions)[1]
 

@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float
 from . import factors
 from .elementary import ratio
 from .highlight import Highlight
-from .stages import Inlined, Stage, stored
+from .stages import Inlined, Stage, change_of, stored
 from .surface import MaterialRow
 from .vectors import Vector, dot, inverse_length, inverse_length_in_range, normalised, transform, unit, unit_planes
 from .world import WorldFog, WorldLights
@@ -68,7 +68,7 @@ def geometry(
     inverse = _inverse_distance(in_range, viewer, position.vector)
     to_viewer = stage.each(_directions, eye[:, None, None], position.planes, derived=(inverse,))
     distance = stage.each(_distance, viewer, position.vector, derived=(inverse,))
-    unit_normal = stage.each(unit_planes, normal.planes, derived=(stage(inverse_length, normal.vector),))
+    unit_normal = stage.each(unit_planes, normal.planes, derived=(stage.each(inverse_length, normal.vector),))
     return Geometry(
         position=position.vector,
         low=low,
@@ -81,12 +81,22 @@ def geometry(
     )
 
 
+@jax.custom_jvp
 def _inverse_distance(in_range: Bool[Array, ""], end: Vector, start: Vector) -> Array:
     return lax.cond(
         in_range,
         lambda: inverse_length_in_range(stored(end) - stored(start)),
         lambda: inverse_length(stored(end) - stored(start)),
     )
+
+
+def _inverse_distance_jvp(primals, tangents):
+    change = change_of(lambda end, start: inverse_length(stored(end) - stored(start)), primals[1:], tangents[1:])
+    return _inverse_distance(*primals), change
+
+
+# Of its own, or JAX would take the conditional apart wherever a derivative is taken, even if it is not by this.
+_inverse_distance.defjvp(_inverse_distance_jvp, symbolic_zeros=True)
 
 
 def _components(planes: Float[Array, "3 ..."]) -> Vector:
@@ -133,7 +143,7 @@ def received(
     if highlight is not None and aspect.alignment is not None:
         # A plane for every light: derivatives are then added up light by light, and only those sums over lights.
         exponent = stage.each(partial(_exponents, lights.count), material.shininess)
-        power = stage(partial(highlight.power, aspect.alignment, exponent))
+        power = stage.each(highlight.power, aspect.alignment, exponent)
     for_diffuse, for_specular = stage.each(
         partial(_weights, highlight, specular_gate),
         reaching,

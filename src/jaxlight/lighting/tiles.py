@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, cast
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..raster.samples import SampleBuffer
 from ..scene import Scene, Surface
@@ -110,10 +110,29 @@ def _most_lights(scene: Scene, plan: Plan) -> int | None:
     return most
 
 
+class Share(NamedTuple):
+    """One of the equal shares into which the tiles of every run are divided; the last ones may overlap others."""
+
+    number: Int[Array, ""]
+    shares: int
+
+    def of(self, steps: int) -> Int[Array, " share"]:
+        """The share of 0, 1, ... `steps` - 1."""
+        length = -(-steps // self.shares)
+        return jnp.minimum(self.number * length, steps - length) + jnp.arange(length)
+
+
+def joined_shares(colors: list[Array], tiles: int) -> Float[Array, "tiles 4 tile"]:
+    """The colours of all tiles of a run from those of its shares, without what they have twice."""
+    length = colors[0].shape[0]
+    twice = [max(0, number * length - (tiles - length)) for number in range(len(colors))]
+    return jnp.concatenate([share[skipped:] for share, skipped in zip(colors, twice, strict=True)])
+
+
 def colors_of_run(
-    run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, count: int
+    run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, count: int, share: Share | None = None
 ) -> Float[Array, "tiles 4 tile"]:
-    """Red, green, blue and alpha of the tiles of a run, `count` tiles at once."""
+    """Red, green, blue and alpha of the tiles of a run or of a share of them, `count` tiles at once."""
 
     @jax.checkpoint
     def body(index: Array, prepared: Prepared, samples: SampleBuffer) -> Array:
@@ -124,7 +143,9 @@ def colors_of_run(
     def step(_: None, index: Array) -> tuple[None, Array]:
         return None, body(index, prepared, samples)
 
-    colors = lax.scan(step, None, jnp.arange(run.start // count, run.stop // count))[1]
+    steps = (run.stop - run.start) // count
+    indices = run.start // count + (jnp.arange(steps) if share is None else share.of(steps))
+    colors = lax.scan(step, None, indices)[1]
     return colors.reshape(-1, 4, samples.tile)
 
 
