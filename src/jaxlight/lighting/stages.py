@@ -61,13 +61,18 @@ def _shapes_of(function: Callable[..., Any], operands: tuple[Any, ...]) -> Any:
 def change_of(function: Callable[..., Any], primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> Any:
     """The change of function(*primals) by those tangents that are not symbolic zeros."""
     leaves, tree = jax.tree.flatten(primals)
-    changes = jax.tree.leaves(tangents, is_leaf=_is_zero)
-    moving = [number for number, change in enumerate(changes) if not _is_zero(change)]
+    changes, moving = _moving(tangents)
 
     def of_moving(*values: Array) -> Any:
         return function(*tree.unflatten(_merged(leaves, moving, values)))
 
     return jax.jvp(of_moving, [leaves[number] for number in moving], [changes[number] for number in moving])[1]
+
+
+def _moving(tangents: Any) -> tuple[list[Any], list[int]]:
+    """The leaves of tangents, and which of them are no symbolic zeros."""
+    changes = jax.tree.leaves(tangents, is_leaf=_is_zero)
+    return changes, [number for number, change in enumerate(changes) if not _is_zero(change)]
 
 
 def _merged(leaves: list[Array], numbers: list[int], values: tuple[Array, ...]) -> list[Array]:
@@ -149,8 +154,7 @@ def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
     function, wide, shared, less = how
     (stage, operands, derived), (_, changes, _) = primals, tangents
     leaves, tree = jax.tree.flatten(operands)
-    changes = jax.tree.leaves(changes, is_leaf=_is_zero)
-    moving = [number for number, change in enumerate(changes) if not _is_zero(change)]
+    changes, moving = _moving(changes)
     results = _each(how, stage, operands, derived)
     if not moving:
         return results, jax.tree.map(jnp.zeros_like, results)
