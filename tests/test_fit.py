@@ -107,11 +107,11 @@ def test_the_result_holds_the_scene_the_history_and_the_residuals() -> None:
 def test_changed_numbers_compile_nothing_anew() -> None:
     with precision("float32") as dtype:
         fitted("inside", dtype)
-        traces = run.advance.compiled()._cached._cache_size()
+        traces = run.advance_alone.compiled()._cached._cache_size()
         other = material(diffuse_color=(0.2, 0.7, 0.4), shininess=0.5)
         samples = sphere_samples(SIZE, dtype=dtype, eye=(0.1, 0.0, 4.0))
         fit(start(dtype), View(samples, sphere_picture(SIZE, body=other), noise=0.01), FREE, rtol=1e-4)
-        assert run.advance.compiled()._cached._cache_size() == traces
+        assert run.advance_alone.compiled()._cached._cache_size() == traces
 
 
 def test_a_saved_state_carries_on_to_the_same_numbers() -> None:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fit_scenes import precision
 from jaxlight import Scene, nodes
 from jaxlight.fit import View
 from jaxlight.fit.normal import loss_and_gradient
@@ -80,11 +81,9 @@ def test_split_tiles_change_no_colour_and_no_derivative() -> None:
         np.testing.assert_allclose(ours, other, rtol=2e-5, atol=2e-5 * (float(np.abs(other).max()) + 1))
 
 
-@pytest.mark.parametrize(("lights", "shares"), [(1, 2), (1, 5), (20, 3)])
-def test_several_cores_change_no_colour(monkeypatch: pytest.MonkeyPatch, lights: int, shares: int) -> None:
+@pytest.mark.parametrize(("lights", "shares", "bits"), [(1, 2, "float32"), (1, 5, "float64"), (20, 3, "float32")])
+def test_several_cores_change_no_colour(monkeypatch: pytest.MonkeyPatch, lights: int, shares: int, bits: str) -> None:
     """Shares of the tiles, side by side; runs of few tiles have fewer than there are shares."""
-    scene, samples = scene_with_lights(lights), samples_in_tiles(1024)
-    alone = np.asarray(shade_tiles(scene, samples))
     threads = []
 
     def in_threads(function: Any, number: int) -> list[Any]:
@@ -94,8 +93,12 @@ def test_several_cores_change_no_colour(monkeypatch: pytest.MonkeyPatch, lights:
     monkeypatch.setattr(cores, "cores", lambda: shares)
     monkeypatch.setattr(cores, "LEAST_SAMPLES", 1024)
     monkeypatch.setattr(importlib.import_module("jaxlight.lighting.shade"), "in_threads", in_threads)
-    np.testing.assert_array_equal(shade_tiles(scene, samples), alone)
-    assert threads == [shares]
+    with precision(bits) as dtype:
+        scene, samples = scene_with_lights(lights), samples_in_tiles(1024)
+        side_by_side = shade_tiles(scene, samples)
+        assert threads == [shares] and side_by_side.dtype == dtype
+        monkeypatch.setattr(cores, "cores", lambda: 1)
+        np.testing.assert_array_equal(side_by_side, shade_tiles(scene, samples))
 
 
 def test_few_samples_are_not_worth_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -55,7 +55,10 @@ class Columns(eqx.Module):
 
     def linear(self) -> Columns:
         """The directions that are linear together."""
-        few = self.together
+        return self.first(self.together)
+
+    def first(self, few: int) -> Columns:
+        """The first of those that are linear together."""
         return Columns(self.weighing[:few], self.shaping[:0], self.own[:, :few], mixed=False, together=few)
 
     def gathered(self, products: Float[Array, "3 directions directions"]) -> Float[Array, "numbers numbers"]:

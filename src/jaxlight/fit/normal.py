@@ -10,15 +10,14 @@ where rho(s) = s for squares. Gaussian priors add (x - mean)^2 / 2 variance.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..lighting.tiles import tiles_at_once
+from ..lighting.tiles import Share, tiles_at_once
 from ..raster.samples import LANES
 from .columns import Columns
 from .curvature import DenseCurvature, NormalEquations
@@ -44,11 +43,6 @@ from .views import ViewData
 
 def loss(problem: Problem, values: Float[Array, " parameters"]) -> Float[Array, ""]:
     """Half the sum of squares (or of the robust loss) at these values, of all samples, priors included."""
-    return _loss(problem, values, lambda view, of_tile, carry: _over_all(problem, view, of_tile, carry))
-
-
-def _loss(problem: Problem, values: Array, sum_of: Callable[[ViewData, Callable[..., Any], Any], Any]) -> Array:
-    """The loss of the tiles of each view over which `sum_of` sums."""
 
     def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
         if view.pixel is not None:
@@ -58,7 +52,7 @@ def _loss(problem: Problem, values: Array, sum_of: Callable[[ViewData, Callable[
         def of_tile(carry: Any, tile: Tile) -> Any:
             return add(carry, (half_losses(*problem.rho, jax.checkpoint(tile.residual)(inputs)),))
 
-        return sum_of(view, of_tile, carry)
+        return _over_all(problem, view, of_tile, carry)
 
     (total,) = over_views(problem, of_view, (jnp.zeros(LANES, values.dtype),))
     return jnp.sum(total) + _prior_loss(problem, values)
@@ -104,11 +98,40 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
     return jnp.sum(total) + prior, gradient + prior_gradient
 
 
+class Moments(NamedTuple):
+    """Sums over tiles, channel by channel: what the normal equations are made of."""
+
+    loss: Float[Array, " lanes"]
+    """Half the losses, by lanes."""
+    slope: Float[Array, "3 directions"]
+    """J^T r"""
+    square: Float[Array, "3 directions directions"]
+    """J^T J"""
+
+    def __add__(self, other: Moments) -> Moments:  # type: ignore[override]  # sums over more tiles, not a longer tuple
+        return jax.tree.map(jnp.add, self, other)
+
+
 def normal_equations(problem: Problem, values: Float[Array, " parameters"]) -> NormalEquations:
     """Loss, gradient and Gauss-Newton matrix at these values, of the samples that `problem.every` chooses."""
     if problem.parameters.blocks:
         return texel_equations(problem, values)
-    return _equations(problem, values, problem.columns)
+    return equations_of(problem, values, model_moments(problem, values))
+
+
+def no_moments(problem: Problem) -> Moments:
+    """The moments of all directions over no tile."""
+    return _no_moments(problem.columns, problem.parameters.start.dtype)
+
+
+def model_moments(problem: Problem, values: Float[Array, " parameters"], share: Share | None = None) -> Moments:
+    """The moments of all directions, over all tiles or a share of them."""
+    return _moments(problem, values, problem.columns, share)
+
+
+def equations_of(problem: Problem, values: Float[Array, " parameters"], moments: Moments) -> NormalEquations:
+    """The normal equations at these values from their moments, priors included."""
+    return _equations(problem, values, problem.columns, moments)
 
 
 def settled(
@@ -119,10 +142,22 @@ def settled(
     Of the samples that `problem.every` chooses. Where residuals are not linear (robust losses, sensor limits) or texels
     are eliminated anyway, the values stay.
     """
-    columns, parameters = problem.columns.linear(), problem.parameters
-    if not problem.settles or columns.count == 0:
-        return values, _loss(problem, values, partial(sum_over_tiles, problem))
-    here, gradient, curvature = _equations(problem, values, columns)
+    return settled_by(problem, values, trial_moments(problem, values))
+
+
+def trial_moments(problem: Problem, values: Float[Array, " parameters"], share: Share | None = None) -> Moments:
+    """The moments of the directions that `settled_by` settles, over all tiles or a share of them."""
+    return _moments(problem, values, _settling(problem), share)
+
+
+def settled_by(
+    problem: Problem, values: Float[Array, " parameters"], moments: Moments
+) -> tuple[Float[Array, " parameters"], Float[Array, ""]]:
+    """`settled` from its moments."""
+    columns, parameters = _settling(problem), problem.parameters
+    here, gradient, curvature = _equations(problem, values, columns, moments)
+    if columns.count == 0:
+        return values, here
     moves = jnp.any(columns.own > 0, axis=(0, 1))
     lower, upper = (jnp.where(moves, bound - values, 0) for bound in (parameters.lower, parameters.upper))
     lengths = jnp.sqrt(jnp.maximum(jnp.diagonal(curvature), 0))
@@ -136,9 +171,13 @@ def settled(
     return jnp.where(usable, best, values), jnp.where(usable, jnp.maximum(there, 0), here)
 
 
-def _equations(problem: Problem, values: Float[Array, " parameters"], columns: Columns) -> NormalEquations:
-    """The normal equations with the derivatives in some directions, priors included."""
+def _settling(problem: Problem) -> Columns:
+    """The directions in which a trial is settled: those that are linear together, or none."""
+    columns = problem.columns.linear()
+    return columns if problem.settles else columns.first(0)
 
+
+def _moments(problem: Problem, values: Array, columns: Columns, share: Share | None) -> Moments:
     def products(residual: Array, planes: Array) -> tuple[Array, Array, Array]:
         weight = reweight(*problem.rho, residual)
         heard = planes if weight is None else planes * weight[:, None]
@@ -156,19 +195,22 @@ def _equations(problem: Problem, values: Float[Array, " parameters"], columns: C
         def of_tile(carry: Any, tile: Tile) -> Any:
             return add(carry, products(*derivatives(tile)))
 
-        return sum_over_tiles(problem, view, of_tile, carry, forward=True)
+        return sum_over_tiles(problem, view, of_tile, carry, share)
 
-    zeros = (
-        jnp.zeros(LANES, values.dtype),
-        jnp.zeros((3, columns.count), values.dtype),
-        jnp.zeros((3, columns.count, columns.count), values.dtype),
-    )
-    total, slope, square = over_views(problem, of_view, zeros)
-    gradient, curvature = columns.gathered_slope(slope), columns.gathered(square)
+    return Moments(*over_views(problem, of_view, tuple(_no_moments(columns, values.dtype))))
+
+
+def _no_moments(columns: Columns, dtype: Any) -> Moments:
+    count = columns.count
+    return Moments(jnp.zeros(LANES, dtype), jnp.zeros((3, count), dtype), jnp.zeros((3, count, count), dtype))
+
+
+def _equations(problem: Problem, values: Array, columns: Columns, moments: Moments) -> NormalEquations:
+    gradient, curvature = columns.gathered_slope(moments.slope), columns.gathered(moments.square)
     parameters = problem.parameters
     gradient = gradient + parameters.prior_precision * (values - parameters.prior_mean)
     curvature = (curvature + curvature.T) / 2 + jnp.diag(parameters.prior_precision)
-    return NormalEquations(jnp.sum(total) + _prior_loss(problem, values), gradient, curvature)
+    return NormalEquations(jnp.sum(moments.loss) + _prior_loss(problem, values), gradient, curvature)
 
 
 def residuals(problem: Problem, values: Float[Array, " parameters"]) -> tuple[Array, ...]:

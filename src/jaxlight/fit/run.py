@@ -11,15 +11,22 @@ its start, with all of them.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+import math
+import operator
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import optimistix as optx
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from ..lighting.cores import in_threads, shares_of
 from ..lighting.registers import wide_jit
+from ..lighting.tiles import Share
 from . import normal
 from .problem import Problem
 from .solver import BoundedLevenbergMarquardt, SolverState, default_tolerance
@@ -69,7 +76,13 @@ def _settled(values: Array, problem: Problem) -> tuple[Array, Array]:
     return normal.settled(problem, values)
 
 
-_OPTIONS = {"settled": _settled, "normal_equations": _normal_equations}
+def _curvature(values: Array, problem: Problem) -> Any:
+    if problem.parameters.blocks:
+        return normal.normal_equations(problem, values).curvature
+    return jnp.zeros((values.size, values.size), values.dtype)
+
+
+_OPTIONS = {"settled": _settled, "normal_equations": _normal_equations, "curvature": _curvature}
 
 
 def make_solver(problem: Problem, *, rtol: float | None = None, atol: float | None = None) -> BoundedLevenbergMarquardt:
@@ -107,13 +120,88 @@ def _initialised(problem: Problem, solver: BoundedLevenbergMarquardt, values: Ar
     return solver.init(residual_function, values, problem, _OPTIONS, None, None, frozenset())
 
 
-@wide_jit
 def advance(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState) -> FitState:
-    """One evaluation: the first evaluates the start; each later one tries a step and takes or refuses it."""
-    part = eqx.tree_at(lambda problem: problem.every, problem, state.every)
-    values, inner, _ = solver.step(residual_function, state.values, part, _OPTIONS, state.solver, frozenset())
+    """One evaluation: the first evaluates the start; each later one tries a step and takes or refuses it.
+
+    Of many samples the tiles are divided among the processor's cores.
+    """
+    shares = _shares(problem, state)
+    if shares == 1:
+        return advance_alone(problem, solver, state)
+    moments = _added(lambda share: _trial_moments(problem, state, share, shares), shares)
+    trial, loss, accept = _judged(problem, solver, state, moments)
+    moments = normal.no_moments(problem)
+    if accept:
+        moments = _added(lambda share: _model_moments(problem, state, trial, share, shares), shares)
+    return _advanced(problem, solver, state, trial, loss, moments)
+
+
+def _shares(problem: Problem, state: FitState) -> int:
+    """Among how many cores the tiles of a step are divided; the same in all steps, which then share compiled code."""
+    by_tiles = not problem.parameters.blocks and all(view.pixel is None for view in problem.views)
+    leaves = jax.tree.leaves((problem, state))
+    if not by_tiles or jax.default_backend() != "cpu" or any(isinstance(leaf, Tracer) for leaf in leaves):
+        return 1
+    return shares_of(sum(math.prod(view.root_weight.shape) // view.root_weight.shape[-2] for view in problem.views))
+
+
+def _added(moments: Callable[[Array], normal.Moments], shares: int) -> normal.Moments:
+    return functools.reduce(operator.add, in_threads(lambda share: moments(jnp.asarray(share)), shares))
+
+
+def _part(problem: Problem, state: FitState) -> Problem:
+    """The problem with the tiles that this state asks for."""
+    return eqx.tree_at(lambda problem: problem.every, problem, state.every)
+
+
+@wide_jit
+def advance_alone(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState) -> FitState:
+    """`advance` in one compiled call."""
+    return _stepped(_part(problem, state), solver, state, _OPTIONS)
+
+
+def _stepped(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState, options: dict[str, Any]) -> FitState:
+    values, inner, _ = solver.step(residual_function, state.values, problem, options, state.solver, frozenset())
     over = inner.terminate | (inner.result != optx.RESULTS.successful)
     return dataclasses.replace(state, values=values, solver=inner, over=over)
+
+
+@wide_jit
+def _trial_moments(problem: Problem, state: FitState, share: Array, shares: int) -> normal.Moments:
+    return normal.trial_moments(_part(problem, state), state.solver.y_eval, Share(share, shares))
+
+
+@wide_jit
+def _model_moments(problem: Problem, state: FitState, values: Array, share: Array, shares: int) -> normal.Moments:
+    return normal.model_moments(_part(problem, state), values, Share(share, shares))
+
+
+@wide_jit
+def _judged(
+    problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState, moments: normal.Moments
+) -> tuple[Array, Array, Array]:
+    """The settled trial, its loss, and whether the solver accepts it; the loss of one that it refuses is infinite, so
+    that rounding cannot make it think otherwise."""
+    trial, loss = normal.settled_by(problem, state.solver.y_eval, moments)
+    accept = solver.judged(state.values, loss, state.solver)[1]
+    return trial, jnp.where(accept, loss, jnp.inf), accept
+
+
+@wide_jit
+def _advanced(
+    problem: Problem,
+    solver: BoundedLevenbergMarquardt,
+    state: FitState,
+    trial: Array,
+    loss: Array,
+    moments: normal.Moments,
+) -> FitState:
+    """The state after a trial; `moments` are those at the trial if it is accepted."""
+
+    def equations(values: Array, problem: Problem) -> normal.NormalEquations:
+        return normal.equations_of(problem, values, moments)
+
+    return _stepped(problem, solver, state, {"settled": lambda *_: (trial, loss), "normal_equations": equations})
 
 
 def carried_on(

@@ -77,7 +77,8 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     Takes the `options` `normal_equations(y, args) -> (loss, gradient, curvature)` and `settled(y, args) -> (y, loss)`,
     which may move the numbers in which the residuals are linear to their best. Each trial is settled before it is
-    judged; with the joint step that is variable projection in Kaufman's form.
+    judged; with the joint step that is variable projection in Kaufman's form. And `curvature(y, args)`, some matrix of
+    the form that `normal_equations` gives, saves `init` from tracing these.
     """
 
     rtol: Any
@@ -113,8 +114,8 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     def init(self, fn: Any, y: Array, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> Any:
         zero = jnp.zeros((), y.dtype)
-        _, model_at = _evaluators(fn, options)
-        shapes = eqx.filter_eval_shape(lambda y, args: as_curvature(model_at(y, args)[2]), y, args)
+        curvature_at = options.get("curvature") or (lambda y, args: _evaluators(fn, options)[1](y, args)[2])
+        shapes = eqx.filter_eval_shape(lambda y, args: as_curvature(curvature_at(y, args)), y, args)
         curvature = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
         return SolverState(
             first_step=jnp.array(True),
@@ -138,14 +139,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         settled_at, model_at = _evaluators(fn, options)
         proposed = state.y_eval
         trial, trial_loss = settled_at(proposed, args)
-        step_size, accept, result, search_state = self.search.step(
-            state.first_step,
-            y,
-            proposed,
-            self._model(state.loss, state.gradient, state.curvature),
-            optx.FunctionInfo.Eval(trial_loss),
-            state.search_state,
-        )
+        step_size, accept, result, search_state = self.judged(y, trial_loss, state)
 
         def accepted(_: None) -> tuple[Any, ...]:
             loss, gradient, matrix = model_at(trial, args)
@@ -197,6 +191,17 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             result=result,
         )
         return y, new_state, None
+
+    def judged(self, y: Array, trial_loss: Array, state: SolverState) -> tuple[Array, Array, Any, SearchState]:
+        """The step size from here on, whether the trial with this loss is accepted, and what the search remembers."""
+        return self.search.step(
+            state.first_step,
+            y,
+            state.y_eval,
+            self._model(state.loss, state.gradient, state.curvature),
+            optx.FunctionInfo.Eval(trial_loss),
+            state.search_state,
+        )
 
     def _model(self, loss: Array, gradient: Array, curvature: Curvature) -> Any:
         operator: Any = Operator(curvature, self.descent.sampling)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from ..lighting.prepared import Prepared, prepare
 from ..lighting.stages import Inlined, Stage, stored
-from ..lighting.tiles import Color, Run, surface_runs, tile_color, tile_of
+from ..lighting.tiles import Color, Run, Share, surface_runs, tile_color, tile_of
 from .columns import Columns
 from .part import tiles_of_part
 from .problem import Problem, scene_of_view
@@ -156,19 +156,24 @@ def added_up(carry: Carry) -> tuple[Array, ...]:
 
 
 def sum_over_tiles(
-    problem: Problem, view: ViewData, of_tile: Callable[[Carry, Tile], Carry], carry: Carry, *, forward: bool = False
+    problem: Problem,
+    view: ViewData,
+    of_tile: Callable[[Carry, Tile], Carry],
+    carry: Carry,
+    share: Share | None = None,
 ) -> Carry:
-    """Go over the tiles of a view that `problem.every` chooses; gives the last carry. Not differentiable in reverse.
+    """Go over the tiles of a view that `problem.every` chooses, or a share of them; gives the last carry.
 
-    `forward`: residuals are differentiated in forward mode only.
+    Not differentiable in reverse; residuals are differentiated in forward mode only.
     """
+    own, shares = (0, 1) if share is None else (share.number, share.shares)
     for run in surface_runs(problem.world.scene.surfaces, view.samples):
         first, count = tiles_of_part(run, problem.every)
 
         def step(number: Array, carry: Carry, run: Run = run, first: Array = first) -> Carry:
-            return of_tile(carry, _tile(view, run, first + number * problem.every, forward))
+            return of_tile(carry, _tile(view, run, first + (own + number * shares) * problem.every, forward=True))
 
-        carry = jax.lax.fori_loop(0, count, step, carry)
+        carry = jax.lax.fori_loop(0, (count - own + shares - 1) // shares, step, carry)
     return carry
 
 

@@ -31,8 +31,15 @@ def shares_of(samples: int) -> int:
 
 
 def in_threads(function: Callable[[int], Any], shares: int) -> list[Any]:
-    """[function(0), function(1), ...], evaluated side by side."""
-    return list(_threads(cores()).map(lambda share: jax.block_until_ready(function(share)), range(shares)))
+    """[function(0), function(1), ...], evaluated side by side, in this thread's precision and on its device."""
+    config: Any = jax.config  # whose contexts belong to a thread
+    precision, device = config.jax_enable_x64, config.jax_default_device
+
+    def evaluated(share: int) -> Any:
+        with jax.enable_x64(precision), jax.default_device(device):
+            return jax.block_until_ready(function(share))
+
+    return list(_threads(cores()).map(evaluated, range(shares)))
 
 
 @functools.cache

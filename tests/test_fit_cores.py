@@ -1,0 +1,75 @@
+"""Fits whose tiles are divided among cores: the same steps to the same values as on one."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fit_scenes import EYE, key_light, material, precision, sphere_picture, sphere_points, sphere_samples, sphere_scene
+from jaxlight import Fit, SampleBuffer, View, fit
+from jaxlight.lighting import cores
+
+SIZE, TILE, SHARES = 64, 32, 3
+FREE = [
+    "Material[body].diffuse_color",
+    "Material[body].specular_color",
+    "Material[body].shininess",
+    "PointLight[key].location",
+]
+
+
+@pytest.fixture
+def threads(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Three cores, which are worth it for few samples; what is divided among so many threads is noted here."""
+    noted = []
+
+    def in_threads(function: Any, shares: int) -> list[Any]:
+        noted.append(shares)
+        return cores.in_threads(function, shares)
+
+    monkeypatch.setattr(cores, "cores", lambda: SHARES)
+    monkeypatch.setattr(cores, "LEAST_SAMPLES", 256)
+    monkeypatch.setattr(importlib.import_module("jaxlight.fit.run"), "in_threads", in_threads)
+    return noted
+
+
+def fitted(dtype: Any, **options: Any) -> Fit:
+    scene = sphere_scene(
+        key_light(location=(0.8, 1.2, 2.5)), body=material(diffuse_color=(0.5,) * 3, shininess=0.15), dtype=dtype
+    )
+    samples, picture = sphere_samples(SIZE, dtype=dtype, tile=TILE), sphere_picture(SIZE, noise=0.01)
+    return fit(scene, [View(samples, picture, name=name) for name in "ab"], FREE, **options)
+
+
+@pytest.mark.parametrize(("bits", "loss"), [("float64", "squares"), ("float32", "huber")])
+def test_cores_change_no_step(threads: list[int], monkeypatch: pytest.MonkeyPatch, bits: str, loss: str) -> None:
+    """With trials that are settled and with trials that stay; a trial that is refused asks for no derivatives."""
+    robust = {} if loss == "squares" else {"loss": loss, "loss_scale": 0.02}
+    with precision(bits) as dtype:
+        divided = fitted(dtype, **robust)
+        assert divided.converged and set(threads) == {SHARES}
+        refused = sum(not step.accepted for step in divided.history)
+        assert len(threads) == 2 * len(divided.history) - refused
+        threads.clear()
+        monkeypatch.setattr(cores, "cores", lambda: 1)
+        alone = fitted(dtype, **robust)
+    assert not threads and len(alone.history) == len(divided.history)
+    tolerance = 1e-9 if bits == "float64" else 1e-4
+    for path in FREE:
+        np.testing.assert_allclose(divided.value(path), alone.value(path), rtol=tolerance)
+
+
+def test_pixels_that_gather_samples_are_not_divided(threads: list[int]) -> None:
+    points, pixel = sphere_points(SIZE)
+    half = SIZE // 2
+    row, column = np.divmod(pixel, SIZE)
+    samples = SampleBuffer.create(
+        points, points, EYE, pixel=row // 2 * half + column // 2, coverage=np.full(len(points), 0.25), width=half,
+        height=half, dtype=np.float32,
+    )  # fmt: skip
+    picture = sphere_picture(SIZE).reshape(half, 2, half, 2, 3).mean(axis=(1, 3))
+    result = fit(sphere_scene(dtype=np.float32), View(samples, picture), FREE, max_steps=1)
+    assert not threads and np.isfinite(result.loss)
