@@ -14,6 +14,9 @@ MAPS = Path("/proc/self/maps")
 MOST_MAPS = 30_000
 """Linux allows a process 65 530 pieces of memory; every compiled program holds some, and LLVM aborts without."""
 EVERY = 8
+gc.set_threshold(
+    100_000
+)  # tracing makes millions of objects that stay; to go through all of them over and over takes long
 _numbers = itertools.count()
 
 
