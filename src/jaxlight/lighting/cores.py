@@ -19,7 +19,7 @@ LEAST_SAMPLES = 2**16
 
 
 def cores() -> int:
-    """The cores that this process may use."""
+    """The cores that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
