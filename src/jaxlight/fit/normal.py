@@ -155,9 +155,9 @@ def settled_by(
 ) -> tuple[Float[Array, " parameters"], Float[Array, ""]]:
     """`settled` from its moments."""
     columns, parameters = _settling(problem), problem.parameters
-    here, gradient, curvature = _equations(problem, values, columns, moments)
     if columns.count == 0:
-        return values, here
+        return values, _loss_of(problem, values, moments)
+    here, gradient, curvature = _equations(problem, values, columns, moments)
     moves = jnp.any(columns.own > 0, axis=(0, 1))
     lower, upper = (jnp.where(moves, bound - values, 0) for bound in (parameters.lower, parameters.upper))
     lengths = jnp.sqrt(jnp.maximum(jnp.diagonal(curvature), 0))
@@ -210,7 +210,11 @@ def _equations(problem: Problem, values: Array, columns: Columns, moments: Momen
     parameters = problem.parameters
     gradient = gradient + parameters.prior_precision * (values - parameters.prior_mean)
     curvature = (curvature + curvature.T) / 2 + jnp.diag(parameters.prior_precision)
-    return NormalEquations(jnp.sum(moments.loss) + _prior_loss(problem, values), gradient, curvature)
+    return NormalEquations(_loss_of(problem, values, moments), gradient, curvature)
+
+
+def _loss_of(problem: Problem, values: Array, moments: Moments) -> Array:
+    return jnp.sum(moments.loss) + _prior_loss(problem, values)
 
 
 def residuals(problem: Problem, values: Float[Array, " parameters"]) -> tuple[Array, ...]:
