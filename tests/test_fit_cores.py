@@ -8,17 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fit_scenes import EYE, key_light, material, precision, sphere_picture, sphere_points, sphere_samples, sphere_scene
+from fit_scenes import EYE, precision, sphere_picture, sphere_points, sphere_scene
 from jaxlight import Fit, SampleBuffer, View, fit
 from jaxlight.lighting import cores
+from test_fit_part import FREE, SIZE, start, view
 
-SIZE, TILE, SHARES = 64, 32, 3
-FREE = [
-    "Material[body].diffuse_color",
-    "Material[body].specular_color",
-    "Material[body].shininess",
-    "PointLight[key].location",
-]
+SHARES = 3
 
 
 @pytest.fixture
@@ -37,11 +32,7 @@ def threads(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def fitted(dtype: Any) -> Fit:
-    scene = sphere_scene(
-        key_light(location=(0.8, 1.2, 2.5)), body=material(diffuse_color=(0.5,) * 3, shininess=0.15), dtype=dtype
-    )
-    samples, picture = sphere_samples(SIZE, dtype=dtype, tile=TILE), sphere_picture(SIZE, noise=0.01)
-    return fit(scene, [View(samples, picture, name=name) for name in "ab"], FREE)
+    return fit(start(dtype), [view(dtype, noise=0.01), view(dtype, noise=0.02)], FREE)
 
 
 def test_cores_change_no_step(threads: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
