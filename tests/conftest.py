@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import gc
+import importlib
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import pytest
+
+from jaxlight.lighting import cores
 
 MAPS = Path("/proc/self/maps")
 MOST_MAPS = 30_000
@@ -38,3 +42,22 @@ def let_go_of_programs() -> Iterator[None]:
         if many:
             jax.clear_caches()
             gc.collect()
+
+
+@pytest.fixture
+def several_cores(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, int], list[int]]:
+    """several_cores(module, count): so many cores, worth it for few samples; notes the shares of what it divides."""
+
+    def pretend(module: str, count: int) -> list[int]:
+        noted: list[int] = []
+
+        def in_threads(function: Any, shares: int) -> list[Any]:
+            noted.append(shares)
+            return cores.in_threads(function, shares)
+
+        monkeypatch.setattr(cores, "cores", lambda: count)
+        monkeypatch.setattr(cores, "LEAST_SAMPLES", 256)
+        monkeypatch.setattr(importlib.import_module(module), "in_threads", in_threads)
+        return noted
+
+    return pretend

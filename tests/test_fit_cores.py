@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,18 +17,9 @@ SHARES = 3
 
 
 @pytest.fixture
-def threads(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Three cores, which are worth it for few samples; what is divided among so many threads is noted here."""
-    noted = []
-
-    def in_threads(function: Any, shares: int) -> list[Any]:
-        noted.append(shares)
-        return cores.in_threads(function, shares)
-
-    monkeypatch.setattr(cores, "cores", lambda: SHARES)
-    monkeypatch.setattr(cores, "LEAST_SAMPLES", 256)
-    monkeypatch.setattr(importlib.import_module("jaxlight.fit.run"), "in_threads", in_threads)
-    return noted
+def threads(several_cores: Callable[[str, int], list[int]]) -> list[int]:
+    """Into how many threads each evaluation is divided."""
+    return several_cores("jaxlight.fit.run", SHARES)
 
 
 def fitted(dtype: Any) -> Fit:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -82,17 +81,15 @@ def test_split_tiles_change_no_colour_and_no_derivative() -> None:
 
 
 @pytest.mark.parametrize(("lights", "shares", "bits"), [(1, 2, "float32"), (1, 5, "float64"), (20, 3, "float32")])
-def test_several_cores_change_no_colour(monkeypatch: pytest.MonkeyPatch, lights: int, shares: int, bits: str) -> None:
+def test_several_cores_change_no_colour(
+    monkeypatch: pytest.MonkeyPatch,
+    several_cores: Callable[[str, int], list[int]],
+    lights: int,
+    shares: int,
+    bits: str,
+) -> None:
     """Shares of the tiles, side by side; runs of few tiles have fewer than there are shares."""
-    threads = []
-
-    def in_threads(function: Any, number: int) -> list[Any]:
-        threads.append(number)
-        return cores.in_threads(function, number)
-
-    monkeypatch.setattr(cores, "cores", lambda: shares)
-    monkeypatch.setattr(cores, "LEAST_SAMPLES", 1024)
-    monkeypatch.setattr(importlib.import_module("jaxlight.lighting.shade"), "in_threads", in_threads)
+    threads = several_cores("jaxlight.lighting.shade", shares)
     with precision(bits) as dtype:
         scene, samples = scene_with_lights(lights), samples_in_tiles(1024)
         side_by_side = shade_tiles(scene, samples)
