@@ -12,6 +12,9 @@ import pytest
 
 from jaxlight import Scene, nodes
 from jaxlight.lighting import culling, make_plan, shade
+from jaxlight.lighting.plan import LightPlan
+from jaxlight.lighting.vectors import Vector
+from jaxlight.lighting.world import lights_in_world
 from jaxlight.raster import SampleBuffer, rasterize
 from jaxlight.raster.samples import LANES, MANY_LIGHTS
 
@@ -79,37 +82,112 @@ def test_culling_changes_no_value_and_no_derivative(kind: str, radius: float, mo
         np.testing.assert_allclose(got, wanted, atol=2e-5 * max(1.0, float(jnp.max(jnp.abs(wanted)))))
 
 
-def test_more_lights_than_a_tile_has_room_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beyond the capacity of a tile's collection all lights are computed: slower, the same picture."""
+def test_more_lights_than_a_tile_collects_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are worked through in batches: the same picture, the same derivatives."""
+    scene, samples = many_lights("point", 1.0)
+    scene = dataclasses.replace(scene, document=None)
+    culled, brute = plans(scene, samples, "point")
+    assert reaching(scene, samples, 1.0).max() > 2 * culling.WORD
+
+    def total(scene: Scene, plan: Any) -> jax.Array:
+        return jnp.sum(jnp.sin(3 * shade(scene, samples, plan=plan)))
+
+    slope = jax.jit(jax.grad(total), static_argnums=1)
+    wanted = shade(scene, samples, plan=brute), slope(scene, brute)
+    monkeypatch.setattr(culling, "BATCH", culling.WORD)
+    jax.clear_caches()
+    got = shade(scene, samples, plan=culled), slope(scene, culled)
+    for one, other in zip(jax.tree.leaves(got), jax.tree.leaves(wanted), strict=True):
+        np.testing.assert_allclose(one, other, atol=2e-5 * max(1.0, float(jnp.max(jnp.abs(other)))))
+    jax.clear_caches()
+
+
+def test_derivatives_by_samples_pass_lists_of_lights() -> None:
+    """Lists are drawn by the samples' places, which has no derivative; what the lights send has."""
     scene, samples = many_lights("point", 0.6)
-    wanted = shade(scene, samples, plan=plans(scene, samples, "point")[1])
-    monkeypatch.setattr(culling, "CAPACITIES", (4, 8))
-    jax.clear_caches()
-    np.testing.assert_allclose(shade(scene, samples), wanted, atol=2e-5)
-    jax.clear_caches()
+    culled, brute = plans(scene, samples, "point")
+
+    def total(planes: jax.Array, plan: Any) -> jax.Array:
+        moved = dataclasses.replace(samples, position_planes=planes)
+        return jnp.sum(jnp.sin(3 * shade(scene, moved, plan=plan)))
+
+    slope = jax.jit(jax.grad(total), static_argnums=1)
+    got, wanted = (slope(samples.position_planes, plan) for plan in (culled, brute))
+    np.testing.assert_allclose(got, wanted, atol=2e-5 * float(jnp.max(jnp.abs(wanted))))
 
 
-def test_few_lights_reach_a_tile() -> None:
-    """The test above would pass if nothing were left out: most lights are."""
-    scene, samples = many_lights("point", 0.3)
+def reaching(scene: Scene, samples: SampleBuffer, radius: float) -> np.ndarray:
+    """How many lights reach each tile."""
     assert scene.point is not None
     places, low, high = np.asarray(scene.point.location), np.asarray(samples.tile_low), np.asarray(samples.tile_high)
     outside = np.maximum(0, np.maximum(low.T[:, None] - places, places - high.T[:, None]))
-    reaching = np.sum(np.linalg.norm(outside, axis=2) <= 0.3, axis=1)
-    assert reaching.max() < LIGHTS / 4
+    return np.sum(np.linalg.norm(outside, axis=2) <= radius, axis=1)
 
 
-@pytest.mark.parametrize("count", [1, 31, 32, 33, 64, 250])
+def test_few_lights_reach_a_tile() -> None:
+    """The tests above would pass if nothing were left out: most lights are."""
+    scene, samples = many_lights("point", 0.3)
+    assert reaching(scene, samples, 0.3).max() < LIGHTS / 4
+
+
+@pytest.mark.parametrize("count", [32, 128])
 @pytest.mark.parametrize("share", [0.0, 0.03, 0.4, 1.0])
 def test_lists_name_the_lights_whose_flags_are_set(count: int, share: float) -> None:
     flags = np.random.default_rng(count).random((count, LANES)) < share
-    words = culling._packed(jnp.asarray(flags))
+    words = jnp.concatenate([culling._packed(jnp.asarray(some)) for some in np.split(flags, count // culling.WORD)])
     for first in range(0, count, culling.CHUNK):
         entry = first + np.arange(culling.CHUNK)
-        rows = np.asarray(culling._place_of_flag(words, jnp.asarray(entry)[:, None]))
+        rows = np.asarray(culling._listed_rows(words, jnp.asarray(entry)[:, None]))
         for lane in range(LANES):
             listed = np.flatnonzero(flags[:, lane])[first : first + culling.CHUNK]
             np.testing.assert_array_equal(rows[: len(listed), lane], listed)
+
+
+@pytest.mark.parametrize("count", [1, 31, 32, 33, 64, 250, 1000])
+@pytest.mark.parametrize("share", [0.0, 0.03, 0.4, 1.0])
+def test_batches_hold_every_light_whose_flag_is_set_once(count: int, share: float) -> None:
+    flags = np.random.default_rng(count).random(count) < share
+    words = culling._packed(jnp.asarray(flags))
+    ends = jnp.cumsum(culling._count_of_flags(words))
+    assert ends[-1] == np.sum(flags)
+    rows = np.asarray(culling._rows_of_flags(words, ends, jnp.arange(count + 40), count))
+    assert rows.min() >= 0 and rows.max() < count
+    np.testing.assert_array_equal(np.sort(rows[: np.sum(flags)]), np.flatnonzero(flags))
+
+
+@pytest.mark.parametrize("size", [1e-30, 1e-22, 1e-19, 1.0, 1e17, 1e19, 1e30])
+def test_no_light_that_reaches_is_missed_however_large_the_scene(size: float) -> None:
+    """Squares of the distance may leave the range of float32."""
+    random = np.random.default_rng(11)
+    place = (size * random.uniform(-1, 1, (500, 3))).astype(np.float32)
+    radius = (size * random.uniform(0, 0.6, 500)).astype(np.float32)
+    low = (size * random.uniform(-0.5, 0.5, (3, 40))).astype(np.float32)
+    high = np.nextafter(low + np.float32(0.2 * size), np.float32(np.inf))
+    made = Scene.from_nodes([nodes.PointLight()] * 500).point
+    assert made is not None
+    lights = lights_in_world(
+        dataclasses.replace(made, location=jnp.asarray(place), radius=jnp.asarray(radius)),
+        LightPlan(
+            rows=None,
+            headlight=False,
+            frame="identity",
+            ambient=False,
+            scoped=False,
+            attenuation=None,
+            radius=True,
+            culled=True,
+        ),
+        jnp.dtype(jnp.float32),
+        None,
+        1,
+    )
+    got = np.asarray(culling.may_reach(lights, (Vector(*jnp.asarray(low)), Vector(*jnp.asarray(high)))))
+    exact = [np.float64(array) for array in (place, low.T, high.T, radius)]
+    outside = np.maximum(0, np.maximum(exact[1] - exact[0][:, None], exact[0][:, None] - exact[2]))
+    reaches = np.linalg.norm(outside, axis=2) <= exact[3][:, None]
+    assert not np.any(reaches & ~got)
+    if 1e-17 < size < 1e18:  # beyond, squares overflow or underflow, and lights are kept that do not reach
+        assert np.mean(got != reaches) < 1e-3
 
 
 def size_of_lanes(samples: SampleBuffer) -> np.ndarray:

@@ -2,33 +2,36 @@
 
 A light that does not reach a sample contributes exactly 0 to it, so leaving it out changes nothing. Each tile collects
 the lights that may reach it, by radius and, for spots, by cone; from these each lane of samples draws its own list, and
-the lanes work through their lists side by side, CHUNK entries at a time, until the longest is done. When more reach a
-tile than it can collect, all lights are computed, and chunks of which none reaches it are passed over.
+the lanes work through their lists side by side, CHUNK entries at a time, until the longest is done.
+
+Who reaches whom is kept as one bit a light: numbers are packed, counted and searched WORD lights at a time.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from functools import partial
+from functools import partial, reduce
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Int, UInt32
+from jax.experimental.layout import Layout, with_layout_constraint
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .elementary import arctangent
+from .running_sum import running_sum
 from .stages import Stage
 from .terms import Geometry, Received
 from .vectors import Vector, cross, dot, squares_in_range
-from .world import WorldLights, in_chunks
+from .world import WorldLights
 
-CAPACITIES = (64, 256)
-"""Lengths of a tile's collection of lights; the shorter, the quicker the lanes draw their lists from it."""
+BATCH = 128
+"""Lights that a tile collects at once: if more reach it, lists are drawn and worked through several times."""
+
 CHUNK = 8
-GROUP = 4
-"""Chunks that are passed over together where no list is so long."""
+"""Entries of its list that a lane works through at once."""
+
+WORD = 32
+"""Bits of a number. Divides BATCH."""
 
 Bounds = tuple[Vector, Vector]
 """Lowest and highest coordinates of groups of samples; planes [groups]."""
@@ -38,33 +41,23 @@ def received_from_near(
     stage: Stage, of: Callable[[WorldLights, Geometry], Received], lights: WorldLights, tile: Geometry
 ) -> Received:
     """The sum of `of` over the lights that reach the samples of a tile."""
-    whole = (Vector(*tile.low[:, None]), Vector(*tile.high[:, None]))
-    reaches = lax.stop_gradient(may_reach(lights, whole))[:, 0]
-    rank = _running_count(reaches)
-    count = rank[-1]
 
-    # Checkpoints: the branch that is not taken then leaves no zeros behind for what it would have kept. In loops they
-    # are around branches, so that derivatives keep nothing of a turn, not even copies of what is the same in all.
-    @partial(jax.checkpoint, static_argnums=0)
-    def nearest(capacity: int, lights: WorldLights) -> Received:
-        rows = jnp.minimum(jnp.searchsorted(rank, jnp.arange(1, capacity + 1)), lights.count - 1)
-        chosen = lights.with_planes(lambda plane: plane[rows], lambda colors: colors[:, rows])
-        return _sum_over_lists(stage, of, chosen, jnp.arange(capacity) < count, tile)
+    reaches = stage(_reaches_tile, *lax.stop_gradient((lights, tile.low, tile.high)))
+    words = _packed(reaches)
+    ends = jnp.cumsum(_count_of_flags(words))
+    count = ends[-1]
 
-    @jax.checkpoint
-    def all_chunks(lights: WorldLights) -> Received:
-        return _sum_over_chunks(of, lights, reaches, tile)
+    def of_batch(number: Array) -> Received:
+        first = number * BATCH
+        rows = _rows_of_flags(words, ends, first + jnp.arange(BATCH), lights.count)
+        batch = lights.with_planes(lambda plane: plane[rows], lambda colors: colors[:, rows])
+        return _sum_over_lists(stage, of, batch, jnp.minimum(count - first, BATCH), tile)
 
-    def from_capacity(position: int, lights: WorldLights) -> Received:
-        """The sum, if more than the capacities before this position reach the tile."""
-        if position == len(CAPACITIES):
-            return all_chunks(lights)
-        capacity = CAPACITIES[position]
-        if lights.count <= capacity:
-            return nearest(lights.count, lights)
-        return lax.cond(count <= capacity, partial(nearest, capacity), partial(from_capacity, position + 1), lights)
+    return running_sum(of_batch, _parts(count, BATCH))
 
-    return from_capacity(0, lights)
+
+def _reaches_tile(lights: WorldLights, low: Float[Array, "3"], high: Float[Array, "3"]) -> Bool[Array, " lights"]:
+    return may_reach(lights, (Vector(*low[:, None]), Vector(*high[:, None])))[:, 0]
 
 
 def may_reach(lights: WorldLights, bounds: Bounds) -> Bool[Array, "lights groups"]:
@@ -81,10 +74,9 @@ def may_reach(lights: WorldLights, bounds: Bounds) -> Bool[Array, "lights groups
             radius = radius * lights.unit_length[:, 0]
         outside = [jnp.maximum(jnp.maximum(a - c, c - b), 0.0) for a, b, c in zip(low, high, place, strict=True)]
         margin = slack * (_largest((*low, *high)) + _largest(place))
-        # Compared without squares, which could overflow: the largest component is at most the distance.
-        largest = _largest(outside)
-        distance = largest * jnp.sqrt(sum((c / jnp.where(largest > 0, largest, 1.0)) ** 2 for c in outside))
-        reaches &= ~(distance > radius * (1 + slack) + margin)
+        within = jnp.square(radius * (1 + slack) + margin) + jnp.finfo(low.x.dtype).tiny
+        # Squares that overflow or underflow say that a light reaches, or say it rightly that it does not.
+        reaches &= ~(sum(jnp.square(c) for c in outside) > within)
     if lights.axis is not None and lights.cut_off_angle is not None:
         axis = Vector(*(component[:, 0] for component in lights.axis))
         reaches &= _in_cone(place, axis, lights.cut_off_angle[:, 0], bounds)
@@ -93,7 +85,7 @@ def may_reach(lights: WorldLights, bounds: Bounds) -> Bool[Array, "lights groups
 
 def _largest(components: tuple[Array, ...] | Vector | list[Array]) -> Array:
     """The largest absolute value."""
-    return jnp.max(jnp.stack([jnp.abs(component) for component in components]), axis=0)
+    return reduce(jnp.maximum, [jnp.abs(component) for component in components])
 
 
 def _in_cone(place: Vector, axis: Vector, cut_off_angle: Array, bounds: Bounds) -> Bool[Array, "lights groups"]:
@@ -115,127 +107,124 @@ def _sum_over_lists(
     stage: Stage,
     of: Callable[[WorldLights, Geometry], Received],
     lights: WorldLights,
-    reaches: Bool[Array, " lights"],
+    count: Int[Array, ""],
     tile: Geometry,
 ) -> Received:
-    """The sum over the lights, each lane taking only those that may reach its samples."""
-    tile = _with_range_of(lights, reaches, tile)
-    low = Vector(*(jnp.min(component, axis=0) for component in tile.position))
-    high = Vector(*(jnp.max(component, axis=0) for component in tile.position))
-    may = lax.stop_gradient(may_reach(lights, (low, high))) & reaches[:, None]
-    words = _packed(may)
-    length = jnp.sum(lax.population_count(words).astype(jnp.int32), axis=0)
-    longest = jnp.max(length)
+    """The sum over the first `count` lights, each lane taking only those that may reach its samples."""
+    tile = tile._replace(in_range=stage(partial(_squares_in_range, lights, count, tile), name="in_range"))
+    words = _lists(stage, lights, count, tile)
+    length = jnp.sum(_count_of_flags(words), axis=0)
 
-    def entries(number: Array) -> tuple[Array, Array]:
-        """CHUNK entries of all lists, [CHUNK, lanes]: the row of the light, and whether the list is so long."""
+    def of_chunk(number: Array) -> Received:
         entry = (number * CHUNK + jnp.arange(CHUNK))[:, None]
-        return jnp.minimum(_place_of_flag(words, entry), lights.count - 1), entry < length
+        row = stage(_listed_rows, words, entry)
 
-    def of_entries(lights: WorldLights, row: Int[Array, "chunk lanes"], listed: Array) -> Received:
+        def at_rows(plane: Array) -> Array:
+            return plane[:, 0, 0].at[row].get(mode="promise_in_bounds")
+
         def listed_lights() -> WorldLights:
             return lights.with_planes(
-                lambda plane: plane[:, 0, 0][row][:, None],
-                lambda colors: jnp.where(listed, colors[:, :, 0, 0][:, row], 0.0)[:, :, None],
+                at_rows, lambda colors: jnp.stack([jnp.where(entry < length, at_rows(color), 0.0) for color in colors])
             )
 
-        return of(stage(listed_lights), tile)
+        some = stage(listed_lights)
+        return of(some.with_planes(partial(_with_axis, axis=1), partial(_with_axis, axis=2)), tile)
 
-    dark = _dark(jax.eval_shape(lambda: of_entries(lights, *entries(jnp.zeros((), jnp.int32)))))
-
-    @jax.checkpoint
-    def add(lights: WorldLights, total: Received, number: Array) -> Received:
-        return lax.cond(number * CHUNK < longest, lambda: total + of_entries(lights, *entries(number)), lambda: total)
-
-    @jax.checkpoint
-    def add_group(lights: WorldLights, total: Received, first: Array) -> Received:
-        numbers = first + jnp.arange(GROUP)
-
-        def more() -> Received:
-            return lax.scan(lambda total, number: (add(lights, total, number), None), total, numbers)[0]
-
-        return lax.cond(first * CHUNK < longest, more, lambda: total)
-
-    groups = jnp.arange(0, -(-lights.count // CHUNK), GROUP)
-    return lax.scan(lambda total, first: (add_group(lights, total, first), None), dark, groups)[0]
+    return running_sum(of_chunk, _parts(jnp.max(length), CHUNK))
 
 
-def _with_range_of(lights: WorldLights, reaches: Bool[Array, " lights"], tile: Geometry) -> Geometry:
-    """The tile, which knows too whether squared distances to the lights that reach it are normal numbers."""
+def _lists(stage: Stage, lights: WorldLights, count: Int[Array, ""], tile: Geometry) -> UInt32[Array, "words lanes"]:
+    """Which of the first `count` lights may reach each lane's samples."""
+    lights, position = lax.stop_gradient((lights, tile.position))
+    low = Vector(*(jnp.min(component, axis=0) for component in position))
+    high = Vector(*(jnp.max(component, axis=0) for component in position))
+
+    def word(number: Array) -> UInt32[Array, " lanes"]:
+        def may() -> Bool[Array, "lights lanes"]:
+            some = lights.with_planes(partial(_word_of, number, axis=0), partial(_word_of, number, axis=1))
+            return may_reach(some, (low, high)) & (number * WORD + jnp.arange(WORD) < count)[:, None]
+
+        return stage(_packed, stage(may))[0]
+
+    nothing = jnp.zeros((lights.count // WORD, low.x.shape[0]), jnp.uint32)
+    return lax.fori_loop(0, _parts(count, WORD), lambda number, words: words.at[number].set(word(number)), nothing)
+
+
+def _word_of(number: Int[Array, ""], planes: Array, axis: int) -> Array:
+    return lax.dynamic_slice_in_dim(planes, number * WORD, WORD, axis=axis)
+
+
+def _with_axis(planes: Array, axis: int) -> Array:
+    """The planes with an axis for rows, laid out as all planes are, or else XLA would copy them in every stage."""
+    planes = jnp.expand_dims(planes, axis)
+    return with_layout_constraint(planes, Layout(tuple(range(planes.ndim))))
+
+
+def _squares_in_range(lights: WorldLights, count: Int[Array, ""], tile: Geometry) -> Bool[Array, ""]:
+    """Whether squared distances to the first `count` lights too are normal numbers."""
     assert lights.place is not None
     place = Vector(*(component[:, 0, 0] for component in lights.place))
     in_range = squares_in_range(place, Vector(*tile.low), Vector(*tile.high))
-    return tile._replace(in_range=tile.in_range & jnp.all(in_range | ~reaches))
+    return tile.in_range & jnp.all(in_range | (jnp.arange(lights.count) >= count))
 
 
-def _packed(flags: Bool[Array, "lights lanes"]) -> UInt32[Array, "words lanes"]:
-    """32 flags a word, the first in the lowest bit."""
-    filled = jnp.pad(flags, ((0, -flags.shape[0] % 32), (0, 0)))
-    bits = filled.reshape(-1, 32, flags.shape[1]).astype(jnp.uint32)
-    return jnp.sum(bits << jnp.arange(32, dtype=jnp.uint32)[:, None], axis=1, dtype=jnp.uint32)
+def _parts(count: Int[Array, ""], size: int) -> Int[Array, ""]:
+    """Into how many parts of this size a count is divided."""
+    return lax.div(count + (size - 1), size)
 
 
-def _place_of_flag(words: UInt32[Array, "words lanes"], number: Int[Array, "chunk 1"]) -> Int[Array, "chunk lanes"]:
-    """Where the flags number 0, 1, ... of each lane are; beyond the last, anywhere."""
+def _packed(flags: Bool[Array, "lights ..."]) -> UInt32[Array, "words ..."]:
+    """One bit a light, in the order of `_row_of`."""
+
+    def word_of(groups: list[Array]) -> Array:
+        return reduce(jnp.bitwise_or, [group.astype(jnp.uint32) << bit for bit, group in enumerate(groups)])
+
+    full = flags.shape[0] // WORD
+    words = word_of([flags[bit * full : (bit + 1) * full] for bit in range(WORD)])
+    rest = flags[WORD * full :]
+    return jnp.concatenate([words, word_of(list(rest))[None]]) if len(rest) else words
+
+
+def _row_of(word: Int[Array, "..."], bit: Int[Array, "..."], lights: int) -> Int[Array, "..."]:
+    """The light that has this bit: neighbours have the same bit of neighbouring words, so that one loop packs them."""
+    full = lights // WORD
+    return jnp.minimum(jnp.where(word < full, bit * full + word, WORD * full + bit), lights - 1)
+
+
+def _count_of_flags(words: UInt32[Array, "..."]) -> Int[Array, "..."]:
+    return lax.population_count(words).astype(jnp.int32)
+
+
+def _rows_of_flags(
+    words: UInt32[Array, " words"], ends: Int[Array, " words"], number: Int[Array, " batch"], lights: int
+) -> Int[Array, " batch"]:
+    """The rows of the lights whose flags are set, by their number; beyond the last, any.
+
+    `ends`: how many flags are set up to the end of each word.
+    """
+    at = jnp.minimum(jnp.searchsorted(ends, number, side="right", method="scan_unrolled"), len(words) - 1)
+    word = words[at]
+    return _row_of(at, _bit_of_flag(word, number - ends[at] + _count_of_flags(word)), lights)
+
+
+def _listed_rows(words: UInt32[Array, "words lanes"], number: Int[Array, "chunk 1"]) -> Int[Array, "chunk lanes"]:
+    """The rows of the lights that are in each lane's list at places 0, 1, ...; beyond its end, any."""
     left = jnp.broadcast_to(number, (number.shape[0], words.shape[1]))
-    word, place = jnp.zeros(left.shape, jnp.uint32), jnp.zeros_like(left)
+    word, at, before = jnp.zeros(left.shape, jnp.uint32), jnp.zeros_like(left), jnp.zeros_like(left)
     for i, own in enumerate(words):
-        count = lax.population_count(own).astype(jnp.int32)
-        here = (left >= 0) & (left < count)
-        word, place = jnp.where(here, own, word), jnp.where(here, 32 * i + left, place)
-        left = left - count  # negative from the word on that holds it
-    left, place = place % 32, place - place % 32
+        here = left >= 0
+        word, at, before = jnp.where(here, own, word), jnp.where(here, i, at), jnp.where(here, left, before)
+        left = left - _count_of_flags(own)  # negative from the word on that holds it
+    return WORD * at + _bit_of_flag(word, before)
+
+
+def _bit_of_flag(word: UInt32[Array, "..."], number: Int[Array, "..."]) -> Int[Array, "..."]:
+    """Which bit of the word is the set one of this number, from the lowest."""
+    bit = jnp.zeros_like(number)
     for half in (16, 8, 4, 2, 1):
         low = word & jnp.uint32((1 << half) - 1)
-        count = lax.population_count(low).astype(jnp.int32)
-        above = left >= count
+        count = _count_of_flags(low)
+        above = number >= count
         word = jnp.where(above, word >> half, low)
-        left, place = jnp.where(above, left - count, left), jnp.where(above, place + half, place)
-    return place
-
-
-def _running_count(flags: Bool[Array, "lights ..."]) -> Int[Array, "lights ..."]:
-    """How many of the flags up to and including each light's are true."""
-    count, step = flags.astype(jnp.int32), 1
-    while step < flags.shape[0]:
-        count = count.at[step:].add(count[:-step])
-        step *= 2
-    return count
-
-
-def _sum_over_chunks(
-    of: Callable[[WorldLights, Geometry], Received],
-    lights: WorldLights,
-    reaches: Bool[Array, " lights"],
-    tile: Geometry,
-) -> Received:
-    """The sum over the chunks in which some light reaches the tile."""
-    tile = _with_range_of(lights, reaches, tile)
-    lanes = tile.position.x.shape[-1]
-    chunks = in_chunks(lights, CHUNK)
-    padding = -lights.count % CHUNK
-    needed = jnp.any(jnp.pad(reaches, (0, padding)).reshape(-1, CHUNK), axis=1)
-
-    def spread(plane: Array) -> Array:
-        return jnp.broadcast_to(plane, (*plane.shape[:-1], lanes)) if plane.ndim in (3, 4) else plane
-
-    # One table, so that cutting a chunk out is cheap: thousands of chunks are passed over.
-    leaves, tree = jax.tree.flatten(chunks)
-    table = jnp.concatenate([leaf.reshape(leaf.shape[0], -1) for leaf in leaves], axis=1)
-    ends = np.cumsum([math.prod(leaf.shape[1:]) for leaf in leaves]).tolist()
-
-    def of_chunk(numbers: Array) -> Received:
-        parts = jnp.split(numbers, ends[:-1])
-        some = tree.unflatten([part.reshape(leaf.shape[1:]) for part, leaf in zip(parts, leaves, strict=True)])
-        return of(some.with_planes(spread, spread), tile)
-
-    @jax.checkpoint
-    def add(total: Received, numbers: Array, is_needed: Array) -> Received:
-        return lax.cond(is_needed, lambda: total + of_chunk(numbers), lambda: total)
-
-    dark = _dark(jax.eval_shape(of_chunk, table[0]))
-    return lax.scan(lambda total, chunk: (add(total, *chunk), None), dark, (table, needed))[0]
-
-
-def _dark(shapes: Received) -> Received:
-    return jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
+        number, bit = jnp.where(above, number - count, number), jnp.where(above, bit + half, bit)
+    return bit
