@@ -102,6 +102,34 @@ def test_more_lights_than_a_tile_collects_at_once(monkeypatch: pytest.MonkeyPatc
     jax.clear_caches()
 
 
+def test_lights_out_of_scope_are_in_no_list() -> None:
+    """Two bodies side by side, each with lights of its own."""
+    random = np.random.default_rng(6)
+    bodies = [
+        nodes.Transform(
+            translation=(2.5 * side, 0, 0),
+            children=[
+                nodes.Shape(
+                    appearance=nodes.Appearance(material=nodes.Material(specular_color=(0.3, 0.2, 0.1))),
+                    geometry=nodes.Sphere(),
+                ),
+                *[
+                    nodes.PointLight(
+                        location=random.uniform(-2, 2, 3), radius=1.5, color=random.uniform(size=3), global_=False
+                    )
+                    for _ in range(40)
+                ],
+            ],
+        )
+        for side in (-1, 1)
+    ]
+    scene = Scene.from_nodes(bodies)
+    samples = rasterize(scene, width=96, height=48)
+    plan, brute = plans(scene, samples, "point")
+    assert plan.point is not None and plan.point.culled and plan.point.scoped
+    np.testing.assert_allclose(shade(scene, samples, plan=plan), shade(scene, samples, plan=brute), atol=2e-5)
+
+
 def test_derivatives_by_samples_pass_lists_of_lights() -> None:
     """Lists are drawn by the samples' places, which has no derivative; what the lights send has."""
     scene, samples = many_lights("point", 0.6)

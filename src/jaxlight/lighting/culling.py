@@ -38,11 +38,14 @@ Bounds = tuple[Vector, Vector]
 
 
 def received_from_near(
-    stage: Stage, of: Callable[[WorldLights, Geometry], Received], lights: WorldLights, tile: Geometry
+    stage: Stage,
+    of: Callable[[WorldLights, Geometry], Received],
+    lights: WorldLights,
+    in_scope: Bool[Array, " lights"] | None,
+    tile: Geometry,
 ) -> Received:
-    """The sum of `of` over the lights that reach the samples of a tile."""
-
-    reaches = stage(_reaches_tile, *lax.stop_gradient((lights, tile.low, tile.high)))
+    """The sum of `of` over the lights, of those in scope (None: all), that reach the samples of a tile."""
+    reaches = stage(_reaches_tile, *lax.stop_gradient((lights, in_scope, tile.low, tile.high)))
     words = _packed(reaches)
     ends = jnp.cumsum(_count_of_flags(words))
     count = ends[-1]
@@ -56,8 +59,11 @@ def received_from_near(
     return running_sum(of_batch, _parts(count, BATCH))
 
 
-def _reaches_tile(lights: WorldLights, low: Float[Array, "3"], high: Float[Array, "3"]) -> Bool[Array, " lights"]:
-    return may_reach(lights, (Vector(*low[:, None]), Vector(*high[:, None])))[:, 0]
+def _reaches_tile(
+    lights: WorldLights, in_scope: Bool[Array, " lights"] | None, low: Float[Array, "3"], high: Float[Array, "3"]
+) -> Bool[Array, " lights"]:
+    reaches = may_reach(lights, (Vector(*low[:, None]), Vector(*high[:, None])))[:, 0]
+    return reaches if in_scope is None else reaches & in_scope
 
 
 def may_reach(lights: WorldLights, bounds: Bounds) -> Bool[Array, "lights groups"]:

@@ -259,15 +259,15 @@ def _light(
     for lights, light_plan, scope in kinds:
         if lights is None or light_plan is None:
             continue
-        if scope is not None:
-            lights = _scoped(lights, scope[row])
+        in_scope = None if scope is None else scope[row]
 
         def of(some: WorldLights, tile: Geometry) -> Received:
             return received(stage, some, tile, material, highlight=highlight, specular_gate=plan.options.specular_gate)
 
-        light = (
-            received_from_near(stage, of, lights, tile) if light_plan.culled else _received_from_all(of, lights, tile)
-        )
+        if light_plan.culled:
+            light = received_from_near(stage, of, lights, in_scope, tile)
+        else:
+            light = _received_from_all(of, lights if in_scope is None else _scoped(lights, in_scope), tile)
         total = light if total is None else total + light
     return total
 
