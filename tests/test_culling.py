@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fit_scenes import precision
 from jaxlight import Scene, nodes
 from jaxlight.lighting import culling, make_plan, shade
 from jaxlight.lighting.plan import LightPlan
@@ -40,7 +41,9 @@ def lights(kind: str, random: np.random.Generator, radius: float) -> list[Any]:
     ]
 
 
-def many_lights(kind: str, radius: float, *, moved: bool = False) -> tuple[Scene, SampleBuffer]:
+def many_lights(
+    kind: str, radius: float, *, moved: bool = False, dtype: Any = np.float32
+) -> tuple[Scene, SampleBuffer]:
     """A bumpy sheet of 64 x 64 samples, stored by place, under small lights."""
     random = np.random.default_rng(5)
     x, y = np.meshgrid(np.linspace(-2, 2, 64), np.linspace(-2, 2, 64))
@@ -51,8 +54,8 @@ def many_lights(kind: str, radius: float, *, moved: bool = False) -> tuple[Scene
     own: Any = lights(kind, random, radius)
     if moved:
         own = [nodes.Transform(translation=(0.5, 0, 0), scale=(0.5, 0.5, 0.5), children=own)]
-    return Scene.from_nodes([shape, *own]), SampleBuffer.create(
-        position, normal, [0.3, 0.2, 6], tile=128, by_place=True
+    return Scene.from_nodes([shape, *own], dtype=dtype), SampleBuffer.create(
+        position, normal, [0.3, 0.2, 6], tile=128, by_place=True, dtype=dtype
     )
 
 
@@ -63,23 +66,27 @@ def plans(scene: Scene, samples: SampleBuffer, kind: str) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "radius", "moved"),
-    [("point", 0.6, True), ("spot", 100.0, False)],
+    ("kind", "radius", "moved", "bits", "tolerance"),
+    [("point", 0.6, True, "float32", 2e-5), ("spot", 100.0, False, "float64", 1e-13)],
 )
-def test_culling_changes_no_value_and_no_derivative(kind: str, radius: float, moved: bool) -> None:
-    scene, samples = many_lights(kind, radius, moved=moved)
-    scene = dataclasses.replace(scene, document=None)
-    culled, brute = plans(scene, samples, kind)
-    assert getattr(culled, kind).culled
-    weights = jnp.asarray(np.random.default_rng(1).normal(size=(samples.count, 4)))
+def test_culling_changes_no_value_and_no_derivative(
+    kind: str, radius: float, moved: bool, bits: str, tolerance: float
+) -> None:
+    with precision(bits) as dtype:
+        scene, samples = many_lights(kind, radius, moved=moved, dtype=dtype)
+        scene = dataclasses.replace(scene, document=None)
+        culled, brute = plans(scene, samples, kind)
+        assert getattr(culled, kind).culled
+        weights = jnp.asarray(np.random.default_rng(1).normal(size=(samples.count, 4)), dtype)
 
-    def total(scene: Scene, plan: Any) -> jax.Array:
-        return jnp.sum(weights * shade(scene, samples, plan=plan))
+        def total(scene: Scene, plan: Any) -> jax.Array:
+            return jnp.sum(weights * shade(scene, samples, plan=plan))
 
-    np.testing.assert_allclose(shade(scene, samples, plan=culled), shade(scene, samples, plan=brute), atol=2e-5)
-    slope = jax.jit(jax.grad(total), static_argnums=1)
-    for got, wanted in zip(jax.tree.leaves(slope(scene, culled)), jax.tree.leaves(slope(scene, brute)), strict=True):
-        np.testing.assert_allclose(got, wanted, atol=2e-5 * max(1.0, float(jnp.max(jnp.abs(wanted)))))
+        got, wanted = (shade(scene, samples, plan=plan) for plan in (culled, brute))
+        np.testing.assert_allclose(got, wanted, atol=tolerance)
+        slope = jax.jit(jax.grad(total), static_argnums=1)
+        for one, other in zip(jax.tree.leaves(slope(scene, culled)), jax.tree.leaves(slope(scene, brute)), strict=True):
+            np.testing.assert_allclose(one, other, atol=tolerance * max(1.0, float(jnp.max(jnp.abs(other)))))
 
 
 def test_more_lights_than_a_tile_collects_at_once(monkeypatch: pytest.MonkeyPatch) -> None:

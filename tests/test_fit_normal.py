@@ -18,9 +18,12 @@ SIZE = 24
 FREE = ["Material[body].*", "PointLight[key].location", "PointLight[key].attenuation"]
 
 
-def scene(dtype: Any) -> Scene:
+def scene(dtype: Any, small: int = 0) -> Scene:
+    """Two materials under two lamps, and as many small ones close to the sphere as asked for."""
     lamps = [key_light(attenuation=(0.9, 0.1, 0.05), ambient_intensity=0.3)]
     lamps += [nodes.PointLight(name="fill", location=(-3.0, 1.0, 2.0), intensity=0.4, color=(0.4, 0.6, 1.0))]
+    places = 1.2 * sphere_points(SIZE)[0][:: SIZE**2 // (2 * small)][:small] if small else []
+    lamps += [nodes.PointLight(location=place, radius=0.6, intensity=0.2) for place in places]
     shapes = [
         nodes.Shape(appearance=nodes.Appearance(material=one), geometry=nodes.Sphere())
         for one in (material(transparency=0.2), nodes.Material(name="other", diffuse_color=(0.2, 0.5, 0.4)))
@@ -78,14 +81,18 @@ def problem(kind: str, dtype: Any) -> Problem:
     if kind == "a tie of a colour and an exponent":
         free = [Free(["Material[body].specular_color.g", "Material[body].shininess"], tied="all"), *FREE[1:]]
         free += ["PointLight[fill].color", "Material[body].diffuse_color"]
-    return make_problem(scene(dtype), views, free, **more)[0]
+    small = 0
+    if kind == "many lights":
+        small = 40
+        free = ["Material[body].*", Free("PointLight[*].intensity"), "PointLight[*].location"]
+    return make_problem(scene(dtype, small), views, free, **more)[0]
 
 
 KINDS = [
     "plain", "weights and mask", "grey target", "background", "several samples a pixel",
     "several samples a pixel over a background", "sensor limits", "two views, one light each",
     "two views of different size", "huber", "cauchy", "prior", "ties",
-    "a tie of a colour and an exponent",
+    "a tie of a colour and an exponent", "many lights",
 ]  # fmt: skip
 
 
@@ -115,6 +122,8 @@ def test_streamed_sums_are_the_dense_ones(kind: str) -> None:
     with precision("float64") as dtype:
         made = problem(kind, dtype)
         values = made.parameters.start
+        (light_plan,) = {view.plan.point for view in made.views} if kind == "many lights" else (None,)
+        assert light_plan is None or light_plan.culled
         loss, gradient, curvature = dense(made, values)
         found = jax.jit(normal.normal_equations)(made, values)
         assert float(jax.jit(normal.loss)(made, values)) == pytest.approx(loss, rel=1e-12)

@@ -176,7 +176,7 @@ def _squares_in_range(lights: WorldLights, count: Int[Array, ""], tile: Geometry
 
 def _parts(count: Int[Array, ""], size: int) -> Int[Array, ""]:
     """Into how many parts of this size a count is divided."""
-    return lax.div(count + (size - 1), size)
+    return lax.div(count + (size - 1), jnp.asarray(size, count.dtype))
 
 
 def _packed(flags: Bool[Array, "lights ..."]) -> UInt32[Array, "words ..."]:
