@@ -41,6 +41,8 @@ class Options(Settings):
     samples: int = 2**17
     accuracy: str = "full"
     """Of highlights."""
+    cover: float = 0.0
+    """Lights are small, and so many of them reach a sample on average; 0: all do."""
 
 
 def main() -> int:
@@ -52,7 +54,8 @@ def main() -> int:
     operations: tuple[Operation, ...] = ("forward", "value_and_gradient")
     for operation in operations:
         for lights in options.lights:
-            work = Workload(2**14 if options.quick else options.samples, lights)
+            samples = 2**14 if options.quick else options.samples
+            work = Workload(samples, lights, cover=options.cover, blocks=options.cover > 0)
             shares, nanoseconds = stage_shares(work, operation, options.accuracy, plan.rounds)
             parts.append(f"**{operation}, {lights} lights**: {nanoseconds:.3g} ns per sample and light in loops")
             parts.append(table(["stage", "share", "loops"], _rows(shares)))

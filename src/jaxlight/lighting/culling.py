@@ -27,7 +27,7 @@ from .world import WorldLights
 BATCH = 128
 """Lights that a tile collects at once: if more reach it, lists are drawn and worked through several times."""
 
-CHUNK = 8
+CHUNK = 6
 """Entries of its list that a lane works through at once."""
 
 WORD = 32
@@ -128,10 +128,13 @@ def _sum_over_lists(
         def at_rows(plane: Array) -> Array:
             return plane[:, 0, 0].at[row].get(mode="promise_in_bounds")
 
+        def colors_at_rows(colors: Array) -> Array:
+            # From one row of numbers: each component by itself, XLA would put them together element by element.
+            place = row + lights.count * jnp.arange(3)[:, None, None]
+            return jnp.where(entry < length, colors.reshape(-1).at[place].get(mode="promise_in_bounds"), 0.0)
+
         def listed_lights() -> WorldLights:
-            return lights.with_planes(
-                at_rows, lambda colors: jnp.stack([jnp.where(entry < length, at_rows(color), 0.0) for color in colors])
-            )
+            return lights.with_planes(at_rows, colors_at_rows)
 
         some = stage(listed_lights)
         return of(some.with_planes(partial(_with_axis, axis=1), partial(_with_axis, axis=2)), tile)
