@@ -53,10 +53,7 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, jaxprs: tuple[Close
     moving = [number for number, change in enumerate(changes) if type(change) is not ad.Zero]
 
     def of_moving(*values: Array) -> Any:
-        merged = list(operands)
-        for number, value in zip(moving, values, strict=True):
-            merged[number] = value
-        return _conditional(which, *merged, jaxprs=jaxprs, known=known)
+        return _conditional(which, *merged(operands, moving, values), jaxprs=jaxprs, known=known)
 
     return jax.jvp(of_moving, [operands[number] for number in moving], [changes[number] for number in moving])
 
@@ -71,20 +68,15 @@ def _transpose(
     def pulled(jaxpr: ClosedJaxpr, here: tuple[Array, ...], back: list[Array]) -> list[Array]:
         def of_linear(*values: Array) -> list[Array]:
             # What else it is linear in does not matter to its transpose.
-            merged = [*here, *(jnp.zeros(a.shape, a.dtype) for a in jaxpr.in_avals[known:])]
-            for number, value in zip(linear, values, strict=True):
-                merged[number] = value
-            results = jaxpr_as_fun(jaxpr)(*merged)
+            given = [*here, *(jnp.zeros(a.shape, a.dtype) for a in jaxpr.in_avals[known:])]
+            results = jaxpr_as_fun(jaxpr)(*merged(given, linear, values))
             return [results[number] for number in felt]
 
         return list(jax.linear_transpose(of_linear, *shapes)(back))
 
     functions = [partial(pulled, jaxpr) for jaxpr in jaxprs]
     found = linear_stage(which, functions, tuple(operands[:known]), [cotangents[number] for number in felt])
-    result: list[Any] = [None] * (1 + len(operands))
-    for number, cotangent in zip(linear, found, strict=True):
-        result[1 + number] = cotangent
-    return result
+    return [None, *merged([None] * len(operands), linear, found)]
 
 
 def _batched(operands: Sequence[Any], axes: Sequence[Any], *, jaxprs: tuple[ClosedJaxpr, ...], known: int) -> Any:
@@ -100,6 +92,14 @@ def _batched(operands: Sequence[Any], axes: Sequence[Any], *, jaxprs: tuple[Clos
 
     results = linear_stage(which, [partial(mapped, jaxpr) for jaxpr in jaxprs], operands[:known], operands[known:])
     return results, [0] * len(results)
+
+
+def merged(values: Sequence[Any], numbers: Sequence[int], others: Sequence[Any]) -> list[Any]:
+    """The values with others in the places of these numbers."""
+    result = list(values)
+    for number, other in zip(numbers, others, strict=True):
+        result[number] = other
+    return result
 
 
 _linear_stage = Primitive("linear_stage")

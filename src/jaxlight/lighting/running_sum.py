@@ -17,6 +17,8 @@ from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Int
 
+from .linear_stage import merged
+
 
 def running_sum(function: Callable[[Int[Array, ""]], Any], count: Int[Array, ""]) -> Any:
     """function(0) + function(1) + ... + function(count - 1), zeros if `count` is 0.
@@ -59,7 +61,7 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, jaxpr: ClosedJaxpr)
         known, directions = operands[: len(given)], operands[len(given) :]
 
         def of_moving(*values: Array) -> Sequence[Array]:
-            return jaxpr_as_fun(jaxpr)(number, *_merged(known, moving, values))
+            return jaxpr_as_fun(jaxpr)(number, *merged(known, moving, values))
 
         return jax.jvp(of_moving, [known[n] for n in moving], list(directions))[1]
 
@@ -77,14 +79,14 @@ def _transpose(cotangents: Sequence[Any], count: Array, *given: Any, jaxpr: Clos
         here, back = operands[: len(known)], operands[len(known) :]
 
         def of_linear(*values: Array) -> list[Array]:
-            merged = _merged(_merged([None] * len(given), known, here), linear, values)
-            results = jaxpr_as_fun(jaxpr)(number, *merged)
+            operands = merged(merged([None] * len(given), known, here), linear, values)
+            results = jaxpr_as_fun(jaxpr)(number, *operands)
             return [results[n] for n in felt]
 
         return jax.linear_transpose(of_linear, *shapes)(list(back))
 
     found = _sum(pulled, count, [*(given[n] for n in known), *(cotangents[n] for n in felt)])
-    return [None, *_merged([None] * len(given), linear, found)]
+    return [None, *merged([None] * len(given), linear, found)]
 
 
 def _batched(operands: Sequence[Any], axes: Sequence[Any], *, jaxpr: ClosedJaxpr) -> tuple[list[Array], list[int]]:
@@ -99,14 +101,6 @@ def _batched(operands: Sequence[Any], axes: Sequence[Any], *, jaxpr: ClosedJaxpr
     else:
         results = _sum(jax.vmap(term, in_axes=(None, *axes)), jnp.max(count), [count, *given])
     return results, [0] * len(results)
-
-
-def _merged(values: Sequence[Any], numbers: Sequence[int], others: Sequence[Any]) -> list[Any]:
-    """The values with others in the places of these numbers."""
-    merged = list(values)
-    for number, other in zip(numbers, others, strict=True):
-        merged[number] = other
-    return merged
 
 
 _running_sum = Primitive("running_sum")

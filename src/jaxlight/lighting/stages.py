@@ -20,7 +20,7 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool
 
-from .linear_stage import linear_stage
+from .linear_stage import linear_stage, merged
 
 
 class Inlined(eqx.Module):
@@ -64,7 +64,7 @@ def change_of(function: Callable[..., Any], primals: tuple[Any, ...], tangents: 
     changes, moving = _moving(tangents)
 
     def of_moving(*values: Array) -> Any:
-        return function(*tree.unflatten(_merged(leaves, moving, values)))
+        return function(*tree.unflatten(merged(leaves, moving, values)))
 
     return jax.jvp(of_moving, [leaves[number] for number in moving], [changes[number] for number in moving])[1]
 
@@ -73,13 +73,6 @@ def _moving(tangents: Any) -> tuple[list[Any], list[int]]:
     """The leaves of tangents, and which of them are no symbolic zeros."""
     changes = jax.tree.leaves(tangents, is_leaf=_is_zero)
     return changes, [number for number, change in enumerate(changes) if not _is_zero(change)]
-
-
-def _merged(leaves: list[Array], numbers: list[int], values: tuple[Array, ...]) -> list[Array]:
-    merged = list(leaves)
-    for number, value in zip(numbers, values, strict=True):
-        merged[number] = value
-    return merged
 
 
 class Stage(eqx.Module):
@@ -185,7 +178,7 @@ def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
         leaves, derived = known[0], known[1][choice]
 
         def of_moving(*values: Array) -> Any:
-            return function(*stored(tree.unflatten(_merged(leaves, moving, values))), *derived)
+            return function(*stored(tree.unflatten(merged(leaves, moving, values))), *derived)
 
         return jax.jvp(of_moving, [widened(number, leaves[number]) for number in moving], directions)[1]
 
