@@ -105,7 +105,7 @@ def _durations(call: Callable[[], Any], rounds: int) -> Mapping[str, list[float]
 
 
 def _stage(name: str) -> str:
-    scopes = re.findall(r"stage\.([\w.\[\]]+)", name)
+    scopes = re.findall(r"(?:stage|loop)\.([\w.\[\]]+)", name)
     if scopes:
         return scopes[-1] + (" (reverse)" if "transpose(" in name else "")
     return "no stage: " + name.rsplit("/", 1)[-1]

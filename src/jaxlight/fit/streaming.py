@@ -14,9 +14,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from ..lighting.one_tile import Color, Run, tile_color, tile_of
 from ..lighting.prepared import Prepared, prepare
 from ..lighting.stages import Inlined, Stage, stored
-from ..lighting.tiles import Color, Run, Share, surface_runs, tile_color, tile_of
+from ..lighting.tiles import Share, surface_runs
 from .columns import Columns
 from .part import tiles_of_part
 from .problem import Problem, scene_of_view

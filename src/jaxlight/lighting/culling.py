@@ -18,9 +18,8 @@ from jax.experimental.layout import Layout, with_layout_constraint
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .elementary import arctangent
-from .running_sum import running_sum
 from .stages import Stage
-from .terms import Geometry, Received
+from .terms import Extent, Received
 from .vectors import Vector, cross, dot, squares_in_range
 from .world import WorldLights
 
@@ -33,30 +32,36 @@ CHUNK = 6
 WORD = 32
 """Bits of a number. Divides BATCH."""
 
+WithLight = Callable[[Received | None, Bool[Array, ""], WorldLights], Received]
+"""From what was received so far what it is with some lights; told whether squared distances to them are in range."""
+
 Bounds = tuple[Vector, Vector]
 """Lowest and highest coordinates of groups of samples; planes [groups]."""
 
 
 def received_from_near(
     stage: Stage,
-    of: Callable[[WorldLights, Geometry], Received],
+    with_light: WithLight,
+    total: Received | None,
     lights: WorldLights,
     in_scope: Bool[Array, " lights"] | None,
-    tile: Geometry,
+    position: Vector,
+    extent: Extent,
 ) -> Received:
-    """The sum of `of` over the lights, of those in scope (None: all), that reach the samples of a tile."""
-    reaches = stage(_reaches_tile, *lax.stop_gradient((lights, in_scope, tile.low, tile.high)))
+    """`total` and the light of those lights, of those in scope (None: all), that reach the samples of a tile."""
+    reaches = stage(_reaches_tile, *lax.stop_gradient((lights, in_scope, extent.low, extent.high)))
     words = _packed(reaches)
     ends = jnp.cumsum(_count_of_flags(words))
     count = ends[-1]
 
-    def of_batch(number: Array) -> Received:
+    def with_batch(total: Received | None, number: Array) -> Received:
         first = number * BATCH
         rows = _rows_of_flags(words, ends, first + jnp.arange(BATCH), lights.count)
         batch = lights.with_planes(lambda plane: plane[rows], lambda colors: colors[:, rows])
-        return _sum_over_lists(stage, of, batch, jnp.minimum(count - first, BATCH), tile)
+        length = jnp.minimum(count - first, BATCH)
+        return _received_from_listed(stage, with_light, total, batch, length, position, extent)
 
-    return running_sum(of_batch, _parts(count, BATCH))
+    return stage.sum(with_batch, total, _parts(count, BATCH))
 
 
 def _reaches_tile(
@@ -109,19 +114,21 @@ def _in_cone(place: Vector, axis: Vector, cut_off_angle: Array, bounds: Bounds) 
     return ~surely_outside
 
 
-def _sum_over_lists(
+def _received_from_listed(
     stage: Stage,
-    of: Callable[[WorldLights, Geometry], Received],
+    with_light: WithLight,
+    total: Received | None,
     lights: WorldLights,
     count: Int[Array, ""],
-    tile: Geometry,
+    position: Vector,
+    extent: Extent,
 ) -> Received:
-    """The sum over the first `count` lights, each lane taking only those that may reach its samples."""
-    tile = tile._replace(in_range=stage(partial(_squares_in_range, lights, count, tile), name="in_range"))
-    words = _lists(stage, lights, count, tile)
+    """`total` and the light of the first `count` lights, each lane taking only those that may reach its samples."""
+    in_range = stage(partial(_squares_in_range, lights, count, extent), name="in_range")
+    words = _lists(stage, lights, count, position)
     length = jnp.sum(_count_of_flags(words), axis=0)
 
-    def of_chunk(number: Array) -> Received:
+    def with_chunk(total: Received | None, number: Array) -> Received:
         entry = (number * CHUNK + jnp.arange(CHUNK))[:, None]
         row = stage(_listed_rows, words, entry)
 
@@ -137,14 +144,15 @@ def _sum_over_lists(
             return lights.with_planes(at_rows, colors_at_rows)
 
         some = stage(listed_lights)
-        return of(some.with_planes(partial(_with_axis, axis=1), partial(_with_axis, axis=2)), tile)
+        some = some.with_planes(partial(_with_axis, axis=1), partial(_with_axis, axis=2))
+        return with_light(total, in_range, some)
 
-    return running_sum(of_chunk, _parts(jnp.max(length), CHUNK))
+    return stage.sum(with_chunk, total, _parts(jnp.max(length), CHUNK))
 
 
-def _lists(stage: Stage, lights: WorldLights, count: Int[Array, ""], tile: Geometry) -> UInt32[Array, "words lanes"]:
+def _lists(stage: Stage, lights: WorldLights, count: Int[Array, ""], position: Vector) -> UInt32[Array, "words lanes"]:
     """Which of the first `count` lights may reach each lane's samples."""
-    lights, position = lax.stop_gradient((lights, tile.position))
+    lights, position = lax.stop_gradient((lights, position))
     low = Vector(*(jnp.min(component, axis=0) for component in position))
     high = Vector(*(jnp.max(component, axis=0) for component in position))
 
@@ -169,12 +177,12 @@ def _with_axis(planes: Array, axis: int) -> Array:
     return with_layout_constraint(planes, Layout(tuple(range(planes.ndim))))
 
 
-def _squares_in_range(lights: WorldLights, count: Int[Array, ""], tile: Geometry) -> Bool[Array, ""]:
+def _squares_in_range(lights: WorldLights, count: Int[Array, ""], extent: Extent) -> Bool[Array, ""]:
     """Whether squared distances to the first `count` lights too are normal numbers."""
     assert lights.place is not None
     place = Vector(*(component[:, 0, 0] for component in lights.place))
-    in_range = squares_in_range(place, Vector(*tile.low), Vector(*tile.high))
-    return tile.in_range & jnp.all(in_range | (jnp.arange(lights.count) >= count))
+    in_range = squares_in_range(place, Vector(*extent.low), Vector(*extent.high))
+    return extent.in_range & jnp.all(in_range | (jnp.arange(lights.count) >= count))
 
 
 def _parts(count: Int[Array, ""], size: int) -> Int[Array, ""]:

@@ -178,12 +178,22 @@ _LEAST = -87.33
 
 def _reduced_exp(x: Array) -> tuple[Array, Array]:
     """2^k and f with e^x = 2^k (1 + f), |f| <= sqrt(2) - 1; x is first raised to _LEAST."""
-    x = jnp.maximum(x, _LEAST)
-    # Not rounded by adding and subtracting 1.5 * 2^23: compiled, XLA folds that away.
-    k = jnp.round(x * (1 / math.log(2)))
+    x = jnp.where(x < _LEAST, _LEAST, x)
+    k, power_of_two = _rounded(x * (1 / math.log(2)))
     r = (x - k * _LN2_HIGH) - k * _LN2_LOW
-    power_of_two = _from_bits((k.astype(jnp.int32) + 127) << 23, x.dtype)
     return power_of_two, r + r * r * polynomial(_EXP, r)
+
+
+_TO_INTEGER = 1.5 * 2.0**23
+"""A float32 sum of this and a small number has that number, rounded, in its lowest bits."""
+_BITS_OF_ZERO = 0x4B400000
+
+
+def _rounded(x: Float[Array, "..."]) -> tuple[Array, Array]:
+    """The integer k that is next to x, and 2^k, for float32 -126 <= x <= 127."""
+    bits = _bits(x + _TO_INTEGER)
+    # By way of the bits: XLA would take the sum apart again, and rounding and conversion care for numbers out of range.
+    return (bits - _BITS_OF_ZERO).astype(x.dtype), _from_bits((bits << 23) + (127 << 23), x.dtype)
 
 
 @jax.custom_jvp
@@ -223,9 +233,9 @@ def exp2_fast(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """2^x for x < 1, in float32 to 2.6e-6 of itself, at least 2^-126; no derivative is taken of it."""
     if x.dtype != jnp.float32:
         return jnp.exp2(x)
-    x = jnp.maximum(x, -126.0)
-    k = jnp.round(x)
-    return polynomial(_EXP2_FAST, x - k) * _from_bits((k.astype(jnp.int32) + 127) << 23, x.dtype)
+    x = jnp.where(x < -126.0, -126.0, x)
+    k, power_of_two = _rounded(x)
+    return polynomial(_EXP2_FAST, x - k) * power_of_two
 
 
 def arctangent(y: Float[Array, ...], x: Float[Array, ...]) -> Float[Array, ...]:

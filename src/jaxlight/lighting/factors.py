@@ -28,7 +28,8 @@ def positive_part(x: Array) -> Array:
 @jax.custom_jvp
 def attenuation(c1: Array, c2: Array, c3: Array, d: Array) -> Array:
     """1 / max(c1 + c2 d + c3 d^2, 1). Where the sum is exactly 1 the derivative is that of 1 / sum."""
-    return 1.0 / jnp.maximum(c1 + (c2 + c3 * d) * d, 1.0)
+    total = c1 + (c2 + c3 * d) * d
+    return 1.0 / jnp.where(total < 1, 1.0, total)
 
 
 @attenuation.defjvp

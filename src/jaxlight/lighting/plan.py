@@ -17,6 +17,11 @@ from ..scene import DirectionalLights, PointLights, Scene, SpotLights
 from ..scene.scene import FrameKind
 from .options import LightingOptions
 
+MOSTLY = 0.5
+"""Lights that reach a larger share of the tiles are not looked for tile by tile."""
+
+TILES_ASKED = 64
+
 
 class LightPlan(NamedTuple):
     """What the lights of one kind need."""
@@ -52,6 +57,16 @@ class Plan(NamedTuple):
     fog: FogPlan | None
     specular: bool
     emissive: bool
+
+    @property
+    def lights(self) -> tuple[LightPlan | None, LightPlan | None, LightPlan | None]:
+        """For directional, point and spot lights."""
+        return self.directional, self.point, self.spot
+
+    @property
+    def culled(self) -> bool:
+        """Whether of some lights those that reach a tile have to be found."""
+        return any(lights is not None and lights.culled for lights in self.lights)
 
 
 class _Known:
@@ -138,14 +153,13 @@ def _light_plan(
     if intensity is not None and (not ambient or ambient_intensity is not None):
         keep &= (intensity != 0) | ((ambient_intensity != 0) if ambient else False)
     frame = lights.frame
-    reaches_all = False
-    if not directional:
-        reach = _reach(lights, known, frame, bounds)
-        if reach is not None:
-            keep &= reach[0]
-            reaches_all = bool(np.all(reach[1][keep]))
+    reach = None if directional else _reach(lights, known, frame, bounds)
+    if reach is not None:
+        keep &= reach.some
     if not keep.any():
         return None
+    reaches_all = reach is not None and bool(np.all(reach.all[keep]))
+    mostly = not isinstance(lights, SpotLights) and reach is not None and bool(np.mean(reach.share[keep]) > MOSTLY)
     attenuation = None if directional else _attenuation(lights, known, options, keep)
     return LightPlan(
         rows=None if keep.all() else tuple(np.flatnonzero(keep).tolist()),
@@ -155,7 +169,7 @@ def _light_plan(
         scoped=not unscoped and not bool(scope[:, keep].all()),
         attenuation=attenuation,
         radius=not directional and not reaches_all,
-        culled=bool(keep.sum() >= MANY_LIGHTS) and (isinstance(lights, SpotLights) or not (directional or reaches_all)),
+        culled=bool(keep.sum() >= MANY_LIGHTS) and not (directional or mostly),
     )
 
 
@@ -173,26 +187,49 @@ def _attenuation(
 
 
 def _bounds(known: _Known, samples: SampleBuffer) -> tuple[np.ndarray, np.ndarray] | None:
-    """Lowest and highest sample coordinates, [3] each, if known."""
+    """Lowest and highest coordinates of the tiles, [3, tiles] each, if known."""
     low, high = known(samples.tile_low), known(samples.tile_high)
     if low is None or high is None or low.size == 0:
         return None
-    return low.min(axis=1).astype(np.float64), high.max(axis=1).astype(np.float64)
+    return low.astype(np.float64), high.astype(np.float64)
+
+
+class _Reach(NamedTuple):
+    """How far lights reach; [lights] each."""
+
+    some: np.ndarray
+    """Whether the radius reaches some sample."""
+    all: np.ndarray
+    """Whether it surely encloses all."""
+    share: np.ndarray
+    """The share of tiles that it reaches."""
 
 
 def _reach(
     lights: PointLights | SpotLights, known: _Known, frame: FrameKind, bounds: tuple[np.ndarray, np.ndarray] | None
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Per light: whether its radius reaches some sample, and whether it surely encloses all; None if not known."""
+) -> _Reach | None:
+    """None if it is not known."""
     place, radius, to_world = known(lights.location), known(lights.radius), known(lights.to_world)
     if place is None or radius is None or to_world is None or bounds is None or frame == "general":
         return None
     if not (np.all(np.isfinite(place)) and not np.any(np.isnan(radius))):
         return None
-    to_world, low, high = to_world.astype(np.float64), *bounds
+    to_world = to_world.astype(np.float64)
     center = np.einsum("lij,lj->li", to_world[:, :, :3], place) + to_world[:, :, 3]
-    scale = np.linalg.norm(to_world[:, :, 0], axis=1)
-    nearest = np.linalg.norm(np.maximum(0, np.maximum(low - center, center - high)), axis=1)
+    radius = radius * np.linalg.norm(to_world[:, :, 0], axis=1)
+    low, high = bounds[0].min(axis=1), bounds[1].max(axis=1)
     farthest = np.linalg.norm(np.maximum(np.abs(low - center), np.abs(high - center)), axis=1)
     slack = 1e-5 * (np.abs(center).max(axis=1) + np.abs([low, high]).max() + farthest)
-    return nearest - slack <= radius * scale, farthest + slack <= radius * scale
+    # Some tiles tell the share well enough.
+    some = slice(None, None, -(-bounds[0].shape[1] // TILES_ASKED))
+    nearest = _nearest(center[:, :, None], bounds[0][:, some], bounds[1][:, some])
+    return _Reach(
+        some=_nearest(center, low, high) - slack <= radius,
+        all=farthest + slack <= radius,
+        share=np.mean(nearest <= radius[:, None], axis=1),
+    )
+
+
+def _nearest(center: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The distance to the nearest point between `low` and `high`; components on axis 1 of `center`."""
+    return np.linalg.norm(np.maximum(0, np.maximum(low - center, center - high)), axis=1)

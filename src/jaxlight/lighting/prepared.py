@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Bool
 
 from ..raster.samples import LANES, SampleBuffer
@@ -69,6 +71,16 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan) -> Prepared:
         in_range=_in_range(samples, dtype, shading_all),
         surfaces=scene.surfaces,
     )
+
+
+def on_one_lane(prepared: Prepared) -> Prepared:
+    """The same numbers on one lane, to broadcast; without derivatives."""
+
+    def one(numbers: Any) -> Any:
+        return jax.tree.map(lambda plane: lax.stop_gradient(plane[..., :1]), numbers)
+
+    parts = {name: one(getattr(prepared, name)) for name in ("materials", "directional", "point", "spot", "fog")}
+    return dataclasses.replace(prepared, **parts)
 
 
 def _in_range(samples: SampleBuffer, dtype: jnp.dtype, groups: list[WorldLights]) -> Bool[Array, " tiles"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from .options import LightingOptions
 from .plan import Plan, make_plan
 from .prepared import compute_dtype, prepare
 from .registers import WIDE
+from .stages import with_change
 from .tiles import Share, colors_of_run, in_fitting_tiles, joined_shares, surface_runs, tiles_at_once
 
 
@@ -65,29 +67,48 @@ def shade_tiles(
     return _joined(colors, tuple(run.stop - run.start for run in surface_runs(scene.surfaces, samples)), samples.tile)
 
 
-def _tiles_of(scene: Scene, samples: SampleBuffer, plan: Plan) -> Array:
-    return _in_one(_colors_of_runs(scene, samples, plan), samples.tile, compute_dtype(samples))
+def _tiles_of(scene: Scene, samples: SampleBuffer, plan: Plan) -> Float[Array, "tiles 4 tile"]:
+    return _in_one(_colors_of_runs(plan, scene, samples), samples.tile, compute_dtype(samples))
 
 
-def _colors_of_runs(
-    scene: Scene, samples: SampleBuffer, plan: Plan, share: Share | None = None
-) -> list[Float[Array, "tiles 4 tile"]]:
-    """The colours of the tiles that suit the plan, run by run."""
-    samples = in_fitting_tiles(scene, samples, plan)
-    prepared = prepare(scene, samples, plan)
-    count = tiles_at_once(scene, samples, plan)
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _colors_of_runs(plan: Plan, scene: Scene, samples: SampleBuffer) -> list[Float[Array, "tiles 4 tile"]]:
+    """The colours of all tiles, run by run."""
+    return _colors_alone(plan, scene, samples, None)
+
+
+def _colors_of_runs_jvp(plan: Plan, primals: Any, tangents: Any) -> Any:
+    """Derivatives keep planes of all lights, and so have tiles of their own."""
+
+    def in_fitting(scene: Scene, samples: SampleBuffer) -> list[Array]:
+        fitting = in_fitting_tiles(scene, samples, plan)
+        prepared, count = prepare(scene, fitting, plan), tiles_at_once(scene, fitting, plan)
+        runs = surface_runs(scene.surfaces, fitting)
+        return [_in_tiles(colors_of_run(run, prepared, fitting, plan, count), samples.tile) for run in runs]
+
+    return with_change(in_fitting, primals, tangents)
+
+
+_colors_of_runs.defjvp(_colors_of_runs_jvp, symbolic_zeros=True)
+
+
+def _colors_alone(plan: Plan, scene: Scene, samples: SampleBuffer, share: Share | None) -> list[Array]:
+    """The colours of all tiles or of a share of them, run by run."""
+    prepared, count = prepare(scene, samples, plan), 1 if plan.culled else samples.group
     return [colors_of_run(run, prepared, samples, plan, count, share) for run in surface_runs(scene.surfaces, samples)]
 
 
+def _in_tiles(colors: Float[Array, "tiles 4 smaller"], tile: int) -> Float[Array, "larger 4 tile"]:
+    smaller = colors.shape[-1]
+    if smaller == tile:
+        return colors
+    return jnp.swapaxes(colors.reshape(-1, tile // smaller, 4, smaller), 1, 2).reshape(-1, 4, tile)
+
+
 def _in_one(runs: list[Array], tile: int, dtype: jnp.dtype) -> Float[Array, "tiles 4 tile"]:
-    """The colours of all runs in the buffer's own tiles."""
     if not runs:
         return jnp.zeros((0, 4, tile), dtype)
-    colors = jnp.concatenate(runs) if len(runs) > 1 else runs[0]
-    fitting = colors.shape[-1]
-    if fitting == tile:
-        return colors
-    return jnp.swapaxes(colors.reshape(-1, tile // fitting, 4, fitting), 1, 2).reshape(-1, 4, tile)
+    return jnp.concatenate(runs) if len(runs) > 1 else runs[0]
 
 
 _shade_tiles = jax.jit(_tiles_of, static_argnames="plan")
@@ -96,16 +117,13 @@ _shade_tiles_wide = jax.jit(_tiles_of, static_argnames="plan", compiler_options=
 
 @partial(jax.jit, static_argnames=("plan", "shares"), compiler_options=WIDE)
 def _shade_share(scene: Scene, samples: SampleBuffer, plan: Plan, number: Int[Array, ""], shares: int) -> list[Array]:
-    return _colors_of_runs(scene, samples, plan, Share(number, shares))
+    return _colors_alone(plan, scene, samples, Share(number, shares))
 
 
 @partial(jax.jit, static_argnames=("lengths", "tile"))
 def _joined(shares: list[list[Array]], lengths: tuple[int, ...], tile: int) -> Array:
-    """`_shade_tiles` from all shares of runs of so many of the buffer's tiles."""
-    finer = tile // shares[0][0].shape[-1]
-    runs = [
-        joined_shares(list(run), length * finer) for run, length in zip(zip(*shares, strict=True), lengths, strict=True)
-    ]
+    """`_shade_tiles` from all shares of runs of so many tiles."""
+    runs = [joined_shares(list(run), length) for run, length in zip(zip(*shares, strict=True), lengths, strict=True)]
     return _in_one(runs, tile, shares[0][0].dtype)
 
 

@@ -9,21 +9,34 @@ Profiles know a stage by the name of its function (`jax.named_scope`).
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Int
 
 from .linear_stage import linear_stage, merged
+from .running_sum import running_sum
+
+PLANE = 8192
+"""Lights times samples that are evaluated at once: what a tile's planes may hold to stay in the cache."""
 
 
-class Inlined(eqx.Module):
+class Unstored(eqx.Module):
+    """What stands for planes: `stored` gives them."""
+
+    @abc.abstractmethod
+    def stored(self) -> Any:
+        """A plane, or a pytree of planes."""
+
+
+class Inlined(Unstored):
     """A plane that is not stored: every stage that takes it computes it in its own loop.
 
     For what is as quickly computed as loaded, or lies in a large array: copied by a stage of its own, only that one
@@ -46,27 +59,33 @@ class Inlined(eqx.Module):
 
 
 def stored(operands: Any) -> Any:
-    """The pytree with what is inlined computed."""
-    return jax.tree.map(lambda leaf: leaf.stored() if _is_inlined(leaf) else leaf, operands, is_leaf=_is_inlined)
+    """The pytree with all planes themselves."""
+    return jax.tree.map(lambda leaf: leaf.stored() if is_unstored(leaf) else leaf, operands, is_leaf=is_unstored)
 
 
-def _is_inlined(value: Any) -> bool:
-    return isinstance(value, Inlined)
+def is_unstored(value: Any) -> bool:
+    """Whether it stands for planes."""
+    return isinstance(value, Unstored)
 
 
 def _shapes_of(function: Callable[..., Any], operands: tuple[Any, ...]) -> Any:
     return jax.eval_shape(lambda: function(*stored(operands)))
 
 
-def change_of(function: Callable[..., Any], primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> Any:
-    """The change of function(*primals) by those tangents that are not symbolic zeros."""
+def with_change(function: Callable[..., Any], primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
+    """function(*primals), and its change by those tangents that are not symbolic zeros."""
     leaves, tree = jax.tree.flatten(primals)
     changes, moving = _moving(tangents)
 
     def of_moving(*values: Array) -> Any:
         return function(*tree.unflatten(merged(leaves, moving, values)))
 
-    return jax.jvp(of_moving, [leaves[number] for number in moving], [changes[number] for number in moving])[1]
+    return jax.jvp(of_moving, [leaves[number] for number in moving], [changes[number] for number in moving])
+
+
+def change_of(function: Callable[..., Any], primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> Any:
+    """The change of function(*primals) by those tangents that are not symbolic zeros."""
+    return with_change(function, primals, tangents)[1]
 
 
 def _moving(tangents: Any) -> tuple[list[Any], list[int]]:
@@ -79,12 +98,40 @@ class Stage(eqx.Module):
     """Evaluates functions behind a boundary; `always` is true, but only the running program knows."""
 
     always: Bool[Array, ""]
+    stacks: ClassVar[bool] = True
+    """Whether some stages read several components at once."""
     forward: bool = eqx.field(static=True, default=False)
     """Whether derivatives are only taken in forward mode, where none are summed over samples."""
 
     def __call__(self, function: Callable[..., Any], *operands: Any, name: str = "") -> Any:
         """function(*operands), a stage of its own; `name` (default: the function's) is for profiles."""
         return self._bounded(function, operands, _shapes_of(function, operands), name or _name(function))
+
+    def most_lights(self, samples: int) -> int:
+        """How many lights are evaluated at once for so many samples."""
+        return max(1, PLANE // samples)
+
+    def sum(self, term: Callable[[Any, Array], Any], total: Any, count: Int[Array, ""]) -> Any:
+        """The sum of `total` (None: 0) and `count` terms: term(so far, number), or so far and term(None, number)."""
+        own = running_sum(lambda number: stored(term(None, number)), count)
+        return own if total is None else jax.tree.map(jnp.add, stored(total), own)
+
+    def sum_over(self, term: Callable[[Any, Any], Any], total: Any, parts: Any) -> Any:
+        """The sum of `total` (None: 0) and of a term for every part along the leading axis of `parts`, as `sum`."""
+        first = jax.eval_shape(lambda: stored(term(None, jax.tree.map(lambda leaf: leaf[0], parts))))
+        zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), first)
+
+        # Checkpoint: what derivatives need of a part is computed anew, and never stored for all.
+        @jax.checkpoint
+        def term_of(part: Any) -> Any:
+            return stored(term(None, part))
+
+        start = zeros if total is None else stored(total)
+        return lax.scan(lambda total, part: (jax.tree.map(jnp.add, total, term_of(part)), None), start, parts)[0]
+
+    def together(self, function: Callable[..., Any], in_range: Any, *operands: Any) -> Any:
+        """function(self, in_range, *operands), whose stages may be put into one: here they are not."""
+        return function(self, in_range, *operands)
 
     def leaf_by_leaf(self, function: Callable[..., Any], *operands: Any) -> Any:
         """function(*operands), each result a stage of its own."""
@@ -163,9 +210,9 @@ def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
 
     shape = jnp.broadcast_shapes(*(result.shape for result in jax.tree.leaves(results)))
     is_wide = [
-        position in wide and not _is_inlined(plane)
+        position in wide and not is_unstored(plane)
         for position, operand in enumerate(operands)
-        for plane in jax.tree.leaves(operand, is_leaf=_is_inlined)
+        for plane in jax.tree.leaves(operand, is_leaf=is_unstored)
         for _ in jax.tree.leaves(plane)
     ]
 

@@ -22,67 +22,86 @@ from .elementary import ratio
 from .highlight import Highlight
 from .stages import Inlined, Stage, change_of, stored
 from .surface import MaterialRow
-from .vectors import Vector, dot, inverse_length, inverse_length_in_range, normalised, transform, unit, unit_planes
+from .vectors import (
+    Matrix,
+    Vector,
+    dot,
+    inverse_length,
+    inverse_length_in_range,
+    normalised,
+    normalised_in_range,
+    transform,
+    unit,
+    unit_planes,
+)
 from .world import WorldFog, WorldLights
+
+InRange = Bool[Array, ""] | bool
+"""Whether squared distances to the viewer and to all lights are normal numbers."""
 
 
 class Geometry(NamedTuple):
     """What a tile of samples knows of itself and the viewer; planes [rows, lanes]."""
 
     position: Vector
-    low: Array
-    """Lowest coordinates of the tile, [3]."""
-    high: Array
-    in_range: Bool[Array, ""]
-    """Whether squared distances to the viewer and to all lights are normal numbers."""
+    eye: Vector
+    """The viewer's position, [1, 1] each."""
     normal: Vector
     """Unit normal."""
-    eye: Vector
-    """The viewer's position, [] each."""
     to_viewer: Vector
     """Unit vector to the viewer."""
     distance: Array
     """Distance to the viewer."""
 
 
+class Extent(NamedTuple):
+    """Where a tile of samples is."""
+
+    low: Float[Array, "3"]
+    """Lowest coordinates."""
+    high: Float[Array, "3"]
+    in_range: Bool[Array, ""]
+    """Whether squared distances to the viewer, and to all lights that are not culled, are normal numbers."""
+
+
 class Unread(NamedTuple):
-    """Vectors of samples where they lie in memory, in the two forms that XLA reads at full speed."""
+    """Vectors or colours of samples where they lie in memory, in the two forms that XLA reads at full speed."""
 
-    vector: Vector
+    components: tuple[Array, ...]
     """For loops over samples."""
-    planes: Float[Array, "3 rows lanes"]
-    """For loops over samples and components."""
+    planes: Float[Array, "components rows lanes"] | None
+    """For loops over samples and components; None: not read in such loops."""
+
+    @property
+    def vector(self) -> Vector:
+        """Three components."""
+        return Vector(*self.components)
+
+    def stacked(self) -> Float[Array, "components rows lanes"]:
+        """All components in one."""
+        return jnp.stack(self.components) if self.planes is None else self.planes
 
 
-def geometry(
-    stage: Stage,
-    position: Unread,
-    normal: Unread,
-    eye: Float[Array, 3],
-    low: Array,
-    high: Array,
-    in_range: Bool[Array, ""],
-) -> Geometry:
-    """The tile's geometry, normalised."""
+def directions(
+    stage: Stage, in_range: InRange, position: Unread, normal: Unread, eye: Float[Array, "3 1 1"]
+) -> tuple[Vector, Vector, Array]:
+    """The unit normal, the unit vector to the viewer, and the distance to it."""
     viewer = _components(eye)
     inverse = _inverse_distance(in_range, viewer, position.vector)
-    to_viewer = stage.each(_directions, eye[:, None, None], position.planes, derived=(inverse,))
-    distance = stage.each(_distance, viewer, position.vector, derived=(inverse,))
-    unit_normal = stage.each(unit_planes, normal.planes, derived=(stage.each(inverse_length, normal.vector),))
-    return Geometry(
-        position=position.vector,
-        low=low,
-        high=high,
-        in_range=in_range,
-        normal=_components(unit_normal),
-        eye=viewer,
-        to_viewer=_components(to_viewer),
-        distance=distance,
-    )
+    to_viewer = stage.each(_directions, eye, position.stacked(), derived=(inverse,))
+    distance = stage.each(partial(_distance, in_range is True), viewer, position.vector, derived=(inverse,))
+    unit_normal = stage.each(unit_planes, normal.stacked(), derived=(stage.each(inverse_length, normal.vector),))
+    return _components(unit_normal), _components(to_viewer), distance
+
+
+def _inverse_distance(in_range: InRange, end: Vector, start: Vector) -> Array:
+    if isinstance(in_range, bool):
+        return (inverse_length_in_range if in_range else inverse_length)(stored(end) - stored(start))
+    return _inverse_distance_where(in_range, end, start)
 
 
 @jax.custom_jvp
-def _inverse_distance(in_range: Bool[Array, ""], end: Vector, start: Vector) -> Array:
+def _inverse_distance_where(in_range: Bool[Array, ""], end: Vector, start: Vector) -> Array:
     return lax.cond(
         in_range,
         lambda: inverse_length_in_range(stored(end) - stored(start)),
@@ -92,11 +111,11 @@ def _inverse_distance(in_range: Bool[Array, ""], end: Vector, start: Vector) -> 
 
 def _inverse_distance_jvp(primals, tangents):
     change = change_of(lambda end, start: inverse_length(stored(end) - stored(start)), primals[1:], tangents[1:])
-    return _inverse_distance(*primals), change
+    return _inverse_distance_where(*primals), change
 
 
 # Of its own, or JAX would take the conditional apart wherever a derivative is taken, even if it is not by this.
-_inverse_distance.defjvp(_inverse_distance_jvp, symbolic_zeros=True)
+_inverse_distance_where.defjvp(_inverse_distance_jvp, symbolic_zeros=True)
 
 
 def _components(planes: Float[Array, "3 ..."]) -> Vector:
@@ -107,8 +126,8 @@ def _directions(end: Array, start: Array, inverse: Array) -> Array:
     return unit_planes(end - start, inverse)
 
 
-def _distance(end: Vector, start: Vector, inverse: Array) -> Array:
-    return normalised(end - start, inverse)[1]
+def _distance(in_range: bool, end: Vector, start: Vector, inverse: Array) -> Array:
+    return (normalised_in_range if in_range else normalised)(end - start, inverse)[1]
 
 
 class Received(NamedTuple):
@@ -125,6 +144,7 @@ class Received(NamedTuple):
 
 def received(
     stage: Stage,
+    in_range: InRange,
     lights: WorldLights,
     tile: Geometry,
     material: MaterialRow,
@@ -136,7 +156,7 @@ def received(
 
     `highlight` None: no specular term.
     """
-    aspect = _aspect(stage, lights, tile, highlight)
+    aspect = _aspect(stage, in_range, lights, tile, highlight)
     reaching = _reaching(stage, lights, tile, aspect)
     ambient = None if lights.ambient is None else (lights.ambient, material.ambient_intensity)
     exponent = power = None
@@ -198,16 +218,18 @@ class Aspect(NamedTuple):
     """Between -L and the axis of a spotlight; None: no cone."""
 
 
-def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, highlight: Highlight | None) -> Aspect:
+def _aspect(
+    stage: Stage, in_range: InRange, lights: WorldLights, tile: Geometry, highlight: Highlight | None
+) -> Aspect:
     """How a tile sees lights.
 
     The vectors to the lights are never stored: three planes cost more to keep than to compute anew from 1 / d_L.
     """
     place, position, inverse = lights.place, tile.position, None
     if place is not None:
-        inverse = _inverse_distance(tile.in_range, place, position)
+        inverse = _inverse_distance(in_range, place, position)
     return stage.each(
-        partial(_seen, highlight, lights.asks_distance and lights.to_local is None),
+        partial(_seen, highlight, lights.asks_distance and lights.to_local is None, in_range is True),
         lights.towards,
         place,
         position,
@@ -222,19 +244,20 @@ def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, highlight: Highli
 
 
 def _light_vector(
-    towards: Vector | None, place: Vector | None, position: Vector, inverse: Array | None
+    towards: Vector | None, place: Vector | None, position: Vector, inverse: Array | None, in_range: bool = False
 ) -> tuple[Vector, Array | None]:
     """L, and d_L for lights that have a place."""
     if place is None:
         assert towards is not None
         return towards, None
     assert inverse is not None
-    return normalised(place - position, inverse)
+    return (normalised_in_range if in_range else normalised)(place - position, inverse)
 
 
 def _seen(
     highlight: Highlight | None,
     asks_distance: bool,
+    in_range: bool,
     towards: Vector | None,
     place: Vector | None,
     position: Vector,
@@ -245,7 +268,7 @@ def _seen(
     slopes: Any = None,
 ) -> Aspect:
     """`inverse`: 1 / d_L; `slopes`: what `_slopes` gives, for derivatives."""
-    l, distance = _light_vector(towards, place, position, inverse)
+    l, distance = _light_vector(towards, place, position, inverse, in_range)
     alignment = None
     if highlight is not None and to_viewer is not None:
         seen = (normal, l, to_viewer)
@@ -286,7 +309,7 @@ def _reaching(stage: Stage, lights: WorldLights, tile: Geometry, aspect: Aspect)
     return stage.each(_reach, distance, lights.unit_length, lights.attenuation, lights.radius, cone, wide=(2,))
 
 
-def _distance_in_frame(to_local: Array, local_place: Vector, position: Vector) -> Array:
+def _distance_in_frame(to_local: Matrix, local_place: Vector, position: Vector) -> Array:
     return unit(local_place - transform(to_local, position))[1]
 
 
@@ -351,7 +374,7 @@ def haze(stage: Stage, fog: WorldFog, fog_type: str, tile: Geometry) -> Haze:
     return Haze(*stage.each(interpolant, distance, fog.visibility_range))
 
 
-def _distance_in_fog(to_local: Array, eye: Vector, position: Vector) -> Array:
+def _distance_in_fog(to_local: Matrix, eye: Vector, position: Vector) -> Array:
     return unit(transform(to_local, eye - position))[1]
 
 

@@ -44,10 +44,18 @@ def cross(a: Vector, b: Vector) -> Vector:
     return Vector(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
-def transform(matrix: Float[Array, "... 3 3"], v: Vector) -> Vector:
-    """matrix v; `matrix` indexed [..., row, column] with leading axes that broadcast against the planes."""
-    rows = [dot(Vector(matrix[..., i, 0], matrix[..., i, 1], matrix[..., i, 2]), v) for i in range(3)]
-    return Vector(*rows)
+Matrix = tuple[Vector, Vector, Vector]
+"""The rows of a matrix."""
+
+
+def matrix_of(rows: Float[Array, "... 3 3"]) -> Matrix:
+    """The matrix from an array that is indexed [..., row, column]."""
+    return tuple(Vector(rows[..., i, 0], rows[..., i, 1], rows[..., i, 2]) for i in range(3))  # type: ignore[return-value]
+
+
+def transform(matrix: Matrix, v: Vector) -> Vector:
+    """matrix v"""
+    return Vector(*(dot(row, v) for row in matrix))
 
 
 def unit(v: Vector) -> tuple[Vector, Array]:
@@ -77,6 +85,12 @@ def _normalised_jvp(primals, tangents):
     (v, inverse), (dv, _) = primals, tangents
     u, length = _normalised_once(v, inverse)
     return (u, length), _turned(u, dv, jnp.minimum(inverse, STEEPEST[inverse.dtype]))
+
+
+def normalised_in_range(v: Vector, inverse: Array) -> tuple[Vector, Array]:
+    """`normalised`, to the last bit, of vectors whose squares are known to be in range; not to be differentiated."""
+    u = v.scaled(inverse)
+    return u, dot(v, u)
 
 
 @jax.custom_jvp

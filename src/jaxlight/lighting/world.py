@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from ..scene import DirectionalLights, Fog, PointLights, SpotLights
 from .plan import FogPlan, LightPlan
-from .vectors import Vector, transform, unit
+from .vectors import Matrix, Vector, matrix_of, transform, unit
 
 
 class WorldLights(eqx.Module):
@@ -35,7 +35,7 @@ class WorldLights(eqx.Module):
     """Directional lights: unit L."""
     place: Vector | None
     """Point and spot lights: location."""
-    to_local: Float[Array, "lights 1 1 3 3"] | None
+    to_local: Matrix | None
     """World vectors to the light's frame, where distances are measured; None: `unit_length` tells it."""
     local_place: Vector | None
     """With `to_local`: the location in the light's frame, seen from the world's origin."""
@@ -69,7 +69,7 @@ class WorldFog(eqx.Module):
 
     color: Float[Array, "3 1 lanes"]
     visibility_range: Float[Array, "1 lanes"]
-    to_local: Float[Array, "3 3"] | None
+    to_local: Matrix | None
 
 
 def lights_in_world(
@@ -90,7 +90,7 @@ def lights_in_world(
         return Vector(*(on_lanes(rows[:, i], lanes) for i in range(3)))
 
     to_world = lights.to_world[keep].astype(dtype)
-    linear = to_world[:, None, None, :, :3]
+    linear = matrix_of(to_world[:, None, None, :, :3])
     color = on_lanes(field(lights.color).T, lanes)
     intensity = on_lanes(field(lights.intensity), lanes)
     ambient = on_lanes(field(lights.ambient_intensity), lanes) if plan.ambient else None
@@ -104,7 +104,7 @@ def lights_in_world(
         towards = -world_direction(lights.direction)
         if plan.headlight and camera_to_world is not None:
             own = unit(Vector(*(a[-1] for a in planes(lights.direction))))[0]
-            aimed = -transform(camera_to_world.astype(dtype), own)
+            aimed = -transform(matrix_of(camera_to_world.astype(dtype)), own)
             towards = Vector(*(a.at[-1].set(b) for a, b in zip(towards, aimed, strict=True)))
         return WorldLights(color, intensity, ambient, towards, *(None,) * 9)
 
@@ -114,7 +114,7 @@ def lights_in_world(
         origin = Vector(*(to_world[:, None, None, i, 3] for i in range(3)))
         place = transform(linear, location) + origin
         if plan.frame == "general":
-            to_local = field(lights.to_local)[:, None, None]
+            to_local = matrix_of(field(lights.to_local)[:, None, None])
             local_place = location + transform(to_local, origin)
     spot = isinstance(lights, SpotLights)
     coefficients = None
@@ -146,7 +146,7 @@ def fog_in_world(fog: Fog, plan: FogPlan, dtype: jnp.dtype, lanes: int) -> World
     return WorldFog(
         on_lanes(fog.color.astype(dtype), lanes),
         on_lanes(fog.visibility_range.astype(dtype), lanes),
-        None if plan.identity_frame else fog.to_local.astype(dtype),
+        None if plan.identity_frame else matrix_of(fog.to_local.astype(dtype)[None, None]),
     )
 
 

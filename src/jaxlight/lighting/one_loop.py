@@ -1,0 +1,99 @@
+"""A function of numbers, evaluated for all elements of planes in one loop, with all that it needs in registers.
+
+XLA's CPU backend makes a loop of every result. HLO's `map` applies a computation on numbers, as long as one likes, to
+all elements in one loop that LLVM vectorises, but it has one result. Here that result has the numbers of an element
+side by side: which of them is asked for says an operand that counts 0, 1, ... along a last axis. All else does not
+depend on it, and LLVM computes it once an element. The code must consist of what LLVM vectorises (see `elementary`).
+
+Other backends evaluate the function on the planes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
+from jax.extend.mlir import ir
+from jax.extend.mlir.dialects import stablehlo
+from jax.interpreters import batching, mlir
+from jaxtyping import Array
+
+
+def in_one_loop(function: Callable[..., Sequence[Array]], planes: Sequence[Array], shape: tuple[int, ...]) -> Array:
+    """function(*planes), element by element; its results side by side, [*shape, results]. Not to be differentiated.
+
+    Args:
+        function: of numbers; gives numbers, all of one type. Closes over no traced value.
+        planes: of as many axes as `shape`, to which they are broadcast.
+    """
+    numbers = [jax.ShapeDtypeStruct((), plane.dtype) for plane in planes]
+    jaxpr = jax.make_jaxpr(lambda *numbers: tuple(function(*numbers)))(*numbers)
+    return _one_loop.bind(*planes, jaxpr=jaxpr, shape=shape)
+
+
+def _on_planes(*planes: Array, jaxpr: ClosedJaxpr, shape: tuple[int, ...]) -> Array:
+    function = jaxpr_as_fun(jaxpr)
+    for _ in shape:
+        function = jax.vmap(function)
+    return jnp.stack(function(*(jnp.broadcast_to(plane, shape) for plane in planes)), axis=-1)
+
+
+def _in_loop(*planes: Array, jaxpr: ClosedJaxpr, shape: tuple[int, ...]) -> Array:
+    count = len(jaxpr.out_avals)
+
+    def chosen(which: Array, *numbers: Array) -> Array:
+        results = jaxpr_as_fun(jaxpr)(*numbers)
+        value = results[-1]
+        for k in reversed(range(count - 1)):
+            value = lax.select(lax.eq(which, jnp.int32(k)), results[k], value)
+        return value
+
+    whole = (*shape, count)
+    operands = [lax.broadcasted_iota(jnp.int32, whole, len(shape))]
+    operands += [lax.broadcast_in_dim(plane, whole, range(len(shape))) for plane in planes]
+    body = jax.make_jaxpr(chosen)(*(jax.ShapeDtypeStruct((), operand.dtype) for operand in operands))
+    return _map.bind(*operands, jaxpr=body)
+
+
+def _lowered_map(context: Any, *operands: Any, jaxpr: ClosedJaxpr) -> Any:
+    (result,) = context.avals_out
+    kind = mlir.dtype_to_ir_type(result.dtype)
+    operation = stablehlo.MapOp(ir.RankedTensorType.get(result.shape, kind), operands, range(result.ndim))
+    numbers = [ir.RankedTensorType.get((), operand.type.element_type) for operand in operands]
+    block = operation.regions[0].blocks.append(*numbers)
+    inside = context.replace(avals_in=jaxpr.in_avals, avals_out=jaxpr.out_avals)
+    with ir.InsertionPoint(block):
+        function = mlir.lower_fun(jaxpr_as_fun(jaxpr), multiple_results=True)
+        stablehlo.ReturnOp(mlir.flatten_ir_values(function(inside, *block.arguments)))
+    return operation.results
+
+
+def _batched(
+    planes: Sequence[Array], axes: Sequence[Any], *, jaxpr: ClosedJaxpr, shape: tuple[int, ...]
+) -> tuple[Array, int]:
+    sizes = [plane.shape[axis] for plane, axis in zip(planes, axes, strict=True) if axis is not batching.not_mapped]
+    moved = [
+        plane[None] if axis is batching.not_mapped else jnp.moveaxis(plane, axis, 0)
+        for plane, axis in zip(planes, axes, strict=True)
+    ]
+    return _one_loop.bind(*moved, jaxpr=jaxpr, shape=(sizes[0], *shape)), 0
+
+
+def _side_by_side(*planes: Any, jaxpr: ClosedJaxpr, shape: tuple[int, ...]) -> Any:
+    return jaxpr.out_avals[0].update(shape=(*shape, len(jaxpr.out_avals)))
+
+
+_one_loop = Primitive("one_loop")
+_one_loop.def_impl(_on_planes)
+_one_loop.def_abstract_eval(_side_by_side)
+mlir.register_lowering(_one_loop, mlir.lower_fun(_on_planes, multiple_results=False))
+mlir.register_lowering(_one_loop, mlir.lower_fun(_in_loop, multiple_results=False), platform="cpu")
+batching.primitive_batchers[_one_loop] = _batched
+
+_map = Primitive("map")
+_map.def_abstract_eval(lambda *operands, jaxpr: jaxpr.out_avals[0].update(shape=operands[0].shape))
+mlir.register_lowering(_map, _lowered_map)

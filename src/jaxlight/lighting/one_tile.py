@@ -1,0 +1,295 @@
+"""One tile: all lights are evaluated for some hundred samples of one surface before the next are read.
+
+Colours alone are computed in loops over samples that keep everything in registers (`sample_loops`), derivatives in
+stages whose planes stay in the cache (`stages`): the same functions either way.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from ..raster.samples import SampleBuffer
+from ..scene import Surface
+from .culling import received_from_near
+from .highlight import highlight_of
+from .plan import LightPlan, Plan
+from .prepared import Prepared, compute_dtype, lanes_of, material_row, on_one_lane
+from .sample_loops import UNROLLED, SampleLoops, SideBySide
+from .stages import Inlined, Stage, stored, with_change
+from .surface import MaterialRow, alpha, base_color, sampled_texture
+from .terms import Extent, Geometry, Haze, InRange, Received, Unread, directions, fogged, haze, lit, received
+from .vectors import Vector
+from .world import WorldFog, WorldLights, in_chunks
+
+
+class Color(NamedTuple):
+    """What a tile gives: planes [3, samples] and [samples]."""
+
+    rgb: Array
+    alpha: Array
+
+
+class Run(NamedTuple):
+    """Consecutive tiles whose surfaces are coloured by the same code."""
+
+    surface: Surface
+    """Stands for all surfaces of the run: they differ in material and scope only."""
+    single: int | None
+    """The row of the run's only surface; None: several."""
+    start: int
+    stop: int
+
+
+class How(NamedTuple):
+    """What is static of a tile."""
+
+    run: Run
+    plan: Plan
+    count: int
+    """Neighbouring tiles that are one here."""
+    forward: bool
+    """If derivatives are taken, then in forward mode."""
+
+
+class TileInputs(NamedTuple):
+    """What the colour of a tile's samples follows from; planes [..., rows or 1, lanes or 1]."""
+
+    position: Unread
+    normal: Unread
+    eye: Float[Array, "3 1 1"]
+    vertex_color: Unread | None
+    texel: Array | None
+    material: MaterialRow | None
+    lights: tuple[WorldLights | None, WorldLights | None, WorldLights | None]
+    """Directional, point and spot lights; those out of scope are black, if they are not culled."""
+    fog: WorldFog | None
+
+
+class Near(NamedTuple):
+    """What is asked to find the lights that reach a tile."""
+
+    extent: Extent
+    in_scope: tuple[Bool[Array, " lights"] | None, ...]
+    """Of the three kinds; None: all."""
+
+
+def tile_color(
+    run: Run,
+    prepared: Prepared,
+    samples: SampleBuffer,
+    plan: Plan,
+    index: Array,
+    count: int = 1,
+    *,
+    single: Prepared | None = None,
+    forward: bool = False,
+) -> Color:
+    """The equation on one tile, or on `count` tiles of one surface from tile `index` * `count` on.
+
+    `single`: what `on_one_lane` gives, if that is known before all tiles; `forward`: if derivatives are taken, then in
+    forward mode.
+    """
+    single = on_one_lane(prepared) if single is None else single
+    return _tile_color(How(run, plan, count, forward), prepared, single, samples, index)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _tile_color(how: How, prepared: Prepared, single: Prepared, samples: SampleBuffer, index: Array) -> Color:
+    always = _always(how, samples, index)
+    lanes = lanes_of(samples) if how.plan.culled else samples.tile * how.count
+    return _color(SampleLoops(always, lanes=lanes), how, single, samples, index, lanes)
+
+
+def _tile_color_jvp(how: How, primals: Any, tangents: Any) -> tuple[Color, Color]:
+    def in_stages(prepared: Prepared, samples: SampleBuffer, index: Array) -> Color:
+        return _color(
+            Stage(_always(how, samples, index), how.forward), how, prepared, samples, index, lanes_of(samples)
+        )
+
+    (prepared, _, *others), (change, _, *other_changes) = primals, tangents
+    return with_change(in_stages, (prepared, *others), (change, *other_changes))
+
+
+_tile_color.defjvp(_tile_color_jvp, symbolic_zeros=True)
+
+
+def _always(how: How, samples: SampleBuffer, index: Array) -> Bool[Array, ""]:
+    """True, but only the running program knows."""
+    alone = how.run.stop - how.run.start <= how.count
+    return samples.tile_surface[0] >= 0 if alone else index >= 0
+
+
+def _color(stage: Stage, how: How, prepared: Prepared, samples: SampleBuffer, index: Array, lanes: int) -> Color:
+    surface, plan, count = how.run.surface, how.plan, how.count
+    dtype, tile, first = compute_dtype(samples), samples.tile * count, index * count
+    rows = tile // lanes
+
+    # Known before the loops that read there: divided in each of them, LLVM would not see that it is always the same.
+    place = stage(lambda: (first // samples.group, first % samples.group * samples.tile), name="place")
+
+    def part(planes: Array, component: int | None = None) -> Array:
+        """The tiles' part of planes [blocks, components, block], of all components or one, left where it lies."""
+        block, within = place
+        components = planes.shape[1:2] if component is None else ()
+        start = (block, jnp.full_like(block, component or 0), within)
+        return cast(Array, Inlined(partial(_part, (*components, rows, lanes), dtype), (planes, start)))
+
+    def unread(planes: Array) -> Unread:
+        components = tuple(part(planes, i) for i in range(planes.shape[1]))
+        return Unread(components, part(planes) if stage.stacks else None)
+
+    def cut(planes: Array, kind: jnp.dtype = dtype) -> Array:
+        """The tiles' part of planes [components, slots], [components, rows, lanes]."""
+        return stage(lambda: tile_of(planes, index, tile).astype(kind).reshape(planes.shape[0], -1, lanes), name="read")
+
+    def bounds(planes: Array, reduce: Callable[..., Array]) -> Array:
+        return reduce(lax.dynamic_slice_in_dim(planes, first, count, axis=1), axis=1).astype(dtype)
+
+    row = samples.tile_surface[first] if how.run.single is None else how.run.single
+    material = material_row(prepared, surface, row, how.run.single)
+    vertex_color = texel = None
+    if surface.color_components and samples.color_planes is not None:
+        vertex_color = unread(samples.color_planes)
+    index_planes, weight_planes = samples.texel_index, samples.texel_weight
+    if (
+        surface.texture >= 0
+        and surface.lighting != "emissive"
+        and index_planes is not None
+        and weight_planes is not None
+    ):
+        weight = cut(weight_planes)
+        texel = sampled_texture(prepared.textures[surface.texture], cut(index_planes, jnp.dtype(jnp.int32)), weight)
+    lit_material = material is not None and surface.lighting == "lit"
+    in_scope = tuple(None if scope is None else scope[row] for scope in prepared.scopes)
+    all_lights = (prepared.directional, prepared.point, prepared.spot)
+    inputs = TileInputs(
+        position=unread(samples.position_planes),
+        normal=unread(samples.normal_planes),
+        eye=samples.eye.astype(dtype)[:, None, None],
+        vertex_color=vertex_color,
+        texel=texel,
+        material=material,
+        lights=tuple(map(_in_reach, all_lights, how.plan.lights, in_scope)) if lit_material else (None,) * 3,  # type: ignore[arg-type]
+        fog=prepared.fog if lit_material or plan.options.fog_unlit else None,
+    )
+    in_range = jnp.all(lax.dynamic_slice_in_dim(prepared.in_range, first, count))
+    near = Near(Extent(bounds(samples.tile_low, jnp.min), bounds(samples.tile_high, jnp.max), in_range), in_scope)
+    number = sum(lights.count for lights in inputs.lights if lights is not None)
+    if number > UNROLLED or how.plan.culled:
+        rgb = _rgb(how, near, stage, in_range, inputs)
+    else:
+        rgb = stage.together(partial(_rgb, how, None), in_range, inputs)
+    own = None if vertex_color is None else stored(vertex_color).stacked()
+    opacity = alpha(plan.options, material, own, texel)
+    opacity = jnp.broadcast_to(1.0 if opacity is None else opacity, (rows, lanes)).astype(dtype)
+    return Color(stored(rgb).astype(dtype).reshape(3, tile), opacity.reshape(tile))
+
+
+def tile_of(plane: Array, index: Array, tile: int) -> Array:
+    """Columns of tile `index` of an array [..., slots]."""
+    return lax.dynamic_slice_in_dim(plane, index * tile, tile, axis=-1)
+
+
+def _part(shape: tuple[int, ...], dtype: jnp.dtype, array: Array, start: tuple[Array, ...]) -> Array:
+    slots = shape[-2] * shape[-1]
+    part = lax.dynamic_slice(array, start, (1, math.prod(shape) // slots, slots), allow_negative_indices=False)
+    return part.reshape(shape).astype(dtype)
+
+
+def _in_reach(
+    lights: WorldLights | None, plan: LightPlan | None, in_scope: Bool[Array, " lights"] | None
+) -> WorldLights | None:
+    """The lights with those out of scope made black; what is culled takes care of its scope itself."""
+    if lights is None or plan is None or plan.culled or in_scope is None:
+        return lights
+    return dataclasses.replace(lights, color=jnp.where(in_scope[:, None, None], lights.color, 0.0))
+
+
+def _rgb(
+    how: How, near: Near | None, stage: Stage, in_range: InRange, inputs: TileInputs
+) -> Float[Array, "3 rows lanes"]:
+    """The equation; `near` is asked for if lights are culled."""
+    position, eye = inputs.position.vector, Vector(*inputs.eye)
+    own = stage.together(directions, in_range, inputs.position, inputs.normal, inputs.eye)
+    tile = Geometry(position, eye, *(own.stored() if isinstance(own, SideBySide) else own))
+    light = _light(how, near, stage, in_range, inputs, tile)
+    return stage.together(partial(_mixed, how), in_range, inputs._replace(lights=(None,) * 3), light, tile)
+
+
+def _light(
+    how: How, near: Near | None, stage: Stage, in_range: InRange, inputs: TileInputs, tile: Geometry
+) -> Received | None:
+    """What the lights of all kinds send to a tile; None: there are none."""
+    total = None
+    for kind, (lights, plan) in enumerate(zip(inputs.lights, how.plan.lights, strict=True)):
+        if lights is None or plan is None:
+            continue
+
+        def with_light(total: Received | None, in_range: InRange, some: WorldLights) -> Received:
+            return stage.together(partial(_received, how), in_range, some, tile, inputs.material, total)
+
+        most = stage.most_lights(math.prod(tile.position.x.shape))
+        if plan.culled:
+            assert near is not None
+            position, in_scope = stored(tile.position), near.in_scope[kind]
+            total = received_from_near(stage, with_light, total, lights, in_scope, position, near.extent)
+        elif lights.count > most:
+            parts = -(-lights.count // most)
+            # All about as long: what is missing is filled up with black.
+            chunks = in_chunks(lights, -(-lights.count // parts))
+            total = stage.sum_over(lambda total, some, of=with_light: of(total, in_range, some), total, chunks)
+        else:
+            total = with_light(total, in_range, lights)
+    return total
+
+
+def _received(
+    how: How,
+    stage: Stage,
+    in_range: InRange,
+    lights: WorldLights,
+    tile: Geometry,
+    material: MaterialRow,
+    total: Received | None,
+) -> Received:
+    """`total` and what these lights send."""
+    options = how.plan.options
+    highlight = highlight_of(options.accuracy) if how.plan.specular else None
+    own = received(stage, in_range, lights, tile, material, highlight=highlight, specular_gate=options.specular_gate)
+    return own if total is None else total + own
+
+
+def _mixed(
+    how: How, stage: Stage, in_range: InRange, inputs: TileInputs, light: Received | None, tile: Geometry
+) -> Float[Array, "3 rows lanes"]:
+    fog = None
+    if inputs.fog is not None and how.plan.fog is not None:
+        fog = (inputs.fog.color, haze(stage, inputs.fog, how.plan.fog.fog_type, tile))
+    shape = (3, *tile.position.x.shape)
+    own = None if inputs.vertex_color is None else inputs.vertex_color.stacked()
+    return stage.each(partial(_colored, how, shape), inputs.material, own, inputs.texel, light, fog)
+
+
+def _colored(
+    how: How,
+    shape: tuple[int, ...],
+    material: MaterialRow | None,
+    vertex_color: Array | None,
+    texel: Array | None,
+    light: Received | None,
+    fog: tuple[Array, Haze] | None,
+) -> Float[Array, "3 rows lanes"]:
+    surface, plan = how.run.surface, how.plan
+    color = base_color(surface, plan.options, material, vertex_color, texel)
+    if surface.lighting == "lit" and material is not None:
+        color = lit(material, color, light, emissive=plan.emissive)
+    return jnp.broadcast_to(color if fog is None else fogged(color, *fog), shape)

@@ -1,0 +1,129 @@
+"""Stages put together into loops over samples, for colours that are not differentiated.
+
+A loop evaluates the functions of its stages for one sample after the other and keeps all that is between them in
+registers; planes that go from stage to stage have to go through the cache.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any, ClassVar, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from .one_loop import in_one_loop
+from .stages import Stage, Unstored, is_unstored, stored
+from .unrolled import unrolled
+
+UNROLLED = 8
+"""Lights that one loop evaluates: it holds the code for each of them."""
+
+
+class SideBySide(Unstored):
+    """Planes as a loop over samples writes them: all numbers of a sample side by side."""
+
+    numbers: Float[Array, "rows lanes numbers"]
+    shapes: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    """Of the leaves, without rows and lanes."""
+    tree: Any = eqx.field(static=True)
+
+    def stored(self) -> Any:
+        """The planes, [rows, lanes] behind the axes of each leaf."""
+        leaves, first = [], 0
+        for shape in self.shapes:
+            own = self.numbers[..., first : first + math.prod(shape)]
+            leaves.append(jnp.moveaxis(own, -1, 0).reshape(*shape, *own.shape[:2]))
+            first += math.prod(shape)
+        return self.tree.unflatten(leaves)
+
+
+class SampleLoops(Stage):
+    """Puts stages together into loops over samples; nothing is differentiated."""
+
+    stacks: ClassVar[bool] = False
+    lanes: int = eqx.field(static=True, kw_only=True)
+
+    def most_lights(self, samples: int) -> int:
+        return UNROLLED
+
+    def sum(self, term: Callable[[Any, Array], Any], total: Any, count: Int[Array, ""] | int) -> Any:
+        if total is None:
+            shapes = jax.eval_shape(lambda: term(None, jnp.zeros((), jnp.int32)))
+            total = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
+        return lax.fori_loop(0, count, lambda number, total: term(total, number), total)
+
+    def sum_over(self, term: Callable[[Any, Any], Any], total: Any, parts: Any) -> Any:
+        def with_part(total: Any, number: Array) -> Any:
+            part = jax.tree.map(lambda leaf: lax.dynamic_index_in_dim(leaf, number, keepdims=False), parts)
+            return term(total, part)
+
+        return self.sum(with_part, total, jax.tree.leaves(parts)[0].shape[0])
+
+    def together(self, function: Callable[..., Any], in_range: Any, *operands: Any) -> Any:
+        """function(stage, in_range, *operands) in one loop, where in_range is known; gives `SideBySide`.
+
+        Operands and results are pytrees of arrays [..., rows or 1, lanes or 1].
+        """
+        shapes = jax.eval_shape(lambda: stored(operands))
+        rows = max(leaf.shape[-2] for leaf in jax.tree.leaves(shapes))
+        single = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*leaf.shape[:-2], 1, 1), leaf.dtype), shapes)
+
+        def of_sample(in_range: bool, operands: tuple[Any, ...]) -> Any:
+            return stored(function(_INSIDE, in_range, *operands))
+
+        results = jax.eval_shape(partial(of_sample, True), single)
+        leaves, tree = jax.tree.flatten(results)
+        count = sum(math.prod(leaf.shape) for leaf in leaves)
+
+        def never() -> Array:
+            return jnp.full((rows, self.lanes, count), self.always, leaves[0].dtype)
+
+        def loop(in_range: bool) -> Array:
+            jaxpr = jax.make_jaxpr(lambda given: jax.tree.leaves(of_sample(in_range, given)))(single)
+            return in_one_loop(unrolled(jaxpr), _single_planes(operands), (rows, self.lanes))
+
+        with jax.named_scope(f"loop.{getattr(function, 'func', function).__name__.lstrip('_')}"):
+            which = jnp.where(in_range, 2, 1) * self.always
+            numbers = lax.switch(which, [never, lambda: loop(False), lambda: loop(True)])
+        return SideBySide(numbers, tuple(leaf.shape[:-2] for leaf in leaves), tree)
+
+
+def _single_planes(operands: Any) -> list[Float[Array, "#rows #lanes"]]:
+    """The planes of all numbers of the operands.
+
+    Each is cut out of its array by itself: what several shared, XLA would make a function of, and LLVM not see that
+    what it reads never changes.
+    """
+    planes = []
+    for leaf in jax.tree.leaves(operands, is_leaf=is_unstored):
+        if isinstance(leaf, SideBySide):
+            planes += [leaf.numbers[..., k] for k in range(leaf.numbers.shape[-1])]
+        else:
+            array = stored(leaf)
+            planes += [array[index] for index in np.ndindex(array.shape[:-2])]
+    return planes
+
+
+class _Inside(Stage):
+    """Stages inside of a loop: none."""
+
+    def most_lights(self, samples: int) -> int:
+        return UNROLLED
+
+    def __call__(self, function: Callable[..., Any], *operands: Any, name: str = "") -> Any:
+        return function(*stored(operands))
+
+    def each(
+        self, function: Callable[..., Any], *operands: Any, derived: tuple[Any, ...] = (), **for_derivatives: Any
+    ) -> Any:
+        return function(*stored(operands), *stored(derived))
+
+
+_INSIDE = _Inside(cast(Array, True))

@@ -1,0 +1,111 @@
+"""Functions of small arrays as functions of single numbers: every operation on an array becomes one on each element.
+
+What only moves elements costs nothing then, and what is left is operations on numbers, for `one_loop` to put into one
+loop.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jaxtyping import Array
+
+Elements = np.ndarray
+"""Of any shape, whose elements (dtype object) are numbers or traced numbers."""
+
+
+def unrolled(jaxpr: ClosedJaxpr) -> Callable[..., list[Array]]:
+    """The function that the jaxpr stands for, from the elements of its operands, row by row, to those of its results.
+
+    Raises:
+        NotImplementedError: an operation that cannot be unrolled.
+    """
+    shapes = [operand.shape for operand in jaxpr.in_avals]
+
+    def function(*numbers: Array) -> list[Array]:
+        operands, first = [], 0
+        for shape in shapes:
+            count = math.prod(shape)
+            operands.append(_elements(numbers[first : first + count], shape))
+            first += count
+        results = _evaluated(jaxpr.jaxpr, [_constants(const) for const in jaxpr.consts], operands)
+        return [number for result in results for number in result.reshape(-1)]
+
+    return function
+
+
+def _elements(numbers: Sequence[Any], shape: tuple[int, ...]) -> Elements:
+    return np.fromiter(numbers, dtype=object, count=len(numbers)).reshape(shape)
+
+
+def _constants(value: Any) -> Elements:
+    array = np.asarray(value)
+    return _elements([array.dtype.type(number) for number in array.reshape(-1)], array.shape)
+
+
+def _evaluated(jaxpr: Jaxpr, consts: Sequence[Elements], operands: Sequence[Elements]) -> list[Elements]:
+    known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *operands], strict=True))
+
+    def read(variable: Any) -> Elements:
+        return _constants(variable.val) if isinstance(variable, Literal) else known[variable]
+
+    for equation in jaxpr.eqns:
+        results = _applied(equation, [read(variable) for variable in equation.invars])
+        known.update(zip(equation.outvars, results, strict=True))
+    return [read(variable) for variable in jaxpr.outvars]
+
+
+def _applied(equation: Any, operands: list[Elements]) -> list[Elements]:
+    name, params = equation.primitive.name, equation.params
+    inner = params.get("call_jaxpr", params.get("jaxpr"))
+    if isinstance(inner, ClosedJaxpr):
+        return _evaluated(inner.jaxpr, [_constants(const) for const in inner.consts], operands)
+    if isinstance(inner, Jaxpr):
+        return _evaluated(inner, [], operands)
+    shape = equation.outvars[0].aval.shape
+    if name in _MOVES:
+        return [_MOVES[name](operands, shape, params)]
+    if name == "reduce_sum":
+        kept = [axis for axis in range(operands[0].ndim) if axis not in params["axes"]]
+        rows = operands[0].transpose(*kept, *params["axes"]).reshape(math.prod(shape), -1)
+        return [_elements([functools.reduce(jax.lax.add, row) for row in rows], shape)]
+    if name not in _ELEMENTWISE:
+        raise NotImplementedError(f"{name} of {[operand.shape for operand in operands]} cannot be unrolled")
+    columns = [np.broadcast_to(operand, shape).reshape(-1) for operand in operands]
+    return [_elements([equation.primitive.bind(*row, **params) for row in zip(*columns, strict=True)], shape)]
+
+
+def _broadcast(operands: list[Elements], shape: tuple[int, ...], params: dict[str, Any]) -> Elements:
+    own = [1] * len(shape)
+    for axis, length in zip(params["broadcast_dimensions"], operands[0].shape, strict=True):
+        own[axis] = length
+    return np.broadcast_to(operands[0].reshape(own), shape)
+
+
+def _slice(operands: list[Elements], shape: tuple[int, ...], params: dict[str, Any]) -> Elements:
+    strides = params["strides"] or (1,) * operands[0].ndim
+    parts = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
+    return operands[0][tuple(slice(*part) for part in parts)]
+
+
+_MOVES: dict[str, Callable[[list[Elements], tuple[int, ...], dict[str, Any]], Elements]] = {
+    "broadcast_in_dim": _broadcast,
+    "reshape": lambda operands, shape, params: operands[0].reshape(shape),
+    "squeeze": lambda operands, shape, params: operands[0].reshape(shape),
+    "expand_dims": lambda operands, shape, params: operands[0].reshape(shape),
+    "transpose": lambda operands, shape, params: operands[0].transpose(params["permutation"]),
+    "slice": _slice,
+    "stack": lambda operands, shape, params: np.stack(operands, axis=params["axis"]),
+    "concatenate": lambda operands, shape, params: np.concatenate(operands, axis=params["dimension"]),
+}
+_ARITHMETIC = {"abs", "add", "clamp", "div", "floor", "integer_pow", "max", "min", "mul", "neg", "rem", "round", "sign"}
+_FUNCTIONS = {"atan2", "cos", "exp", "exp2", "expm1", "log", "log1p", "pow", "rsqrt", "sin", "sqrt", "square", "tanh"}
+_CHOICES = {"and", "eq", "ge", "gt", "is_finite", "le", "lt", "ne", "not", "or", "select_n", "xor"}
+_BITS = {"bitcast_convert_type", "shift_left", "shift_right_arithmetic", "shift_right_logical"}
+_ELEMENTWISE = _ARITHMETIC | _FUNCTIONS | _CHOICES | _BITS | {"convert_element_type", "copy", "sub"}
