@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from benchmarks import gate, memory, yardstick
 from benchmarks import reference as reference_module
+from benchmarks.contenders.base import Operation
 from benchmarks.entrants import PEERS, Entrant
 from benchmarks.errors import color_errors, gradient_errors
 from benchmarks.fits import ENTRANTS as FITS
@@ -197,8 +198,16 @@ def test_fits_start_away_from_the_truth_and_are_judged_by_it() -> None:
     assert {entrant.label for entrant, _ in FITS} >= {"jaxlight", "optimistix LM, naive JAX"}
 
 
-def test_a_profile_tells_stages_apart() -> None:
-    shares, nanoseconds = stage_shares(Workload(2**13, 1), "forward", "full", rounds=3)
-    assert {"directions", "seen.alignment", "power", "rgb"} <= set(shares)
+@pytest.mark.parametrize(
+    ("lights", "operation", "names"),
+    [
+        (1, "forward", {"rgb"}),
+        (9, "forward", {"directions", "received", "mixed"}),
+        (1, "value_and_gradient", {"seen.alignment", "power", "colored", "seen.change (reverse)"}),
+    ],
+)
+def test_a_profile_tells_loops_and_stages_apart(lights: int, operation: Operation, names: set[str]) -> None:
+    shares, nanoseconds = stage_shares(Workload(2**13, lights), operation, "full", rounds=3)
+    assert names <= set(shares)
     assert sum(share for share, _ in shares.values()) == pytest.approx(1)
     assert nanoseconds > 0 and all(loops > 0 for _, loops in shares.values())
