@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import equinox as eqx
@@ -122,3 +123,21 @@ def test_a_fit_in_split_tiles_hears_every_sample() -> None:
         of.append(loss_and_gradient(problem, problem.parameters.start))
     np.testing.assert_allclose(of[0][0], of[1][0], rtol=1e-6)
     np.testing.assert_allclose(of[0][1], of[1][1], rtol=1e-5)
+
+
+def test_gradients_of_a_loss_of_colors_alone_keep_no_image_with_alpha() -> None:
+    samples = SampleBuffer.create(np.ones((COUNT, 3)), np.ones((COUNT, 3)), [0, 0, 6], tile=1024)
+    free, fixed = eqx.partition(scene_with_lights(1), eqx.is_inexact_array)
+    image = rf"f32\[(\d+,)*4,{samples.tile}\]"
+
+    def colors(free: Scene, samples: SampleBuffer) -> jax.Array:
+        return shade_tiles(eqx.combine(free, fixed), samples)
+
+    def gradient(free: Scene, samples: SampleBuffer) -> Scene:
+        return jax.grad(lambda free: jnp.sum(colors(free, samples)[:, :3] ** 2))(free)
+
+    def program(function: Callable[[Scene, SampleBuffer], object]) -> str:
+        return jax.jit(function).lower(free, samples).compile().as_text() or ""
+
+    assert re.search(image, program(colors))
+    assert not re.search(image, program(gradient))

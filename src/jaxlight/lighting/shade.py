@@ -19,7 +19,15 @@ from .plan import Plan, make_plan
 from .prepared import compute_dtype, prepare
 from .registers import WIDE
 from .stages import with_change
-from .tiles import Share, colors_of_run, in_fitting_tiles, joined_shares, surface_runs, tiles_at_once
+from .tiles import (
+    Share,
+    color_and_alpha_of_run,
+    colors_of_run,
+    in_fitting_tiles,
+    joined_shares,
+    surface_runs,
+    tiles_at_once,
+)
 
 
 def shade(
@@ -59,37 +67,37 @@ def shade_tiles(
         plan = make_plan(scene, samples, options)
     scene = _without_document(scene)
     if not _runs_alone_on_cpu(scene, samples):
-        return _shade_tiles(scene, samples, plan)
+        return _shade_tiles(plan, scene, samples)
     shares = shares_of(samples.slots)
     if shares == 1:
-        return _shade_tiles_wide(scene, samples, plan)
+        return _shade_tiles_wide(plan, scene, samples)
     colors = in_threads(lambda number: _shade_share(scene, samples, plan, number, shares), shares)
     return _joined(colors, tuple(run.stop - run.start for run in surface_runs(scene.surfaces, samples)), samples.tile)
 
 
-def _tiles_of(scene: Scene, samples: SampleBuffer, plan: Plan) -> Float[Array, "tiles 4 tile"]:
-    return _in_one(_colors_of_runs(plan, scene, samples), samples.tile, compute_dtype(samples))
-
-
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _colors_of_runs(plan: Plan, scene: Scene, samples: SampleBuffer) -> list[Float[Array, "tiles 4 tile"]]:
-    """The colours of all tiles, run by run."""
-    return _colors_alone(plan, scene, samples, None)
+def _tiles_of(plan: Plan, scene: Scene, samples: SampleBuffer) -> Float[Array, "tiles 4 tile"]:
+    return _in_one(_colors_alone(plan, scene, samples, None), samples.tile, compute_dtype(samples))
 
 
-def _colors_of_runs_jvp(plan: Plan, primals: Any, tangents: Any) -> Any:
+def _tiles_of_jvp(plan: Plan, primals: Any, tangents: Any) -> Any:
     """Derivatives keep planes of all lights, and so have tiles of their own."""
 
-    def in_fitting(scene: Scene, samples: SampleBuffer) -> list[Array]:
+    def in_fitting(scene: Scene, samples: SampleBuffer) -> Array:
         fitting = in_fitting_tiles(scene, samples, plan)
         prepared, count = prepare(scene, fitting, plan), tiles_at_once(scene, fitting, plan)
-        runs = surface_runs(scene.surfaces, fitting)
-        return [_in_tiles(colors_of_run(run, prepared, fitting, plan, count), samples.tile) for run in runs]
+        runs = [
+            color_and_alpha_of_run(run, prepared, fitting, plan, count) for run in surface_runs(scene.surfaces, fitting)
+        ]
+        # Joined at the very end, so that a loss of colours alone meets no image with alpha in reverse mode either.
+        parts = zip(*runs, strict=True)
+        whole = [jnp.concatenate([_in_tiles(planes, samples.tile) for planes in part]) for part in parts]
+        return jnp.concatenate(whole, axis=1) if runs else _in_one([], samples.tile, compute_dtype(samples))
 
     return with_change(in_fitting, primals, tangents)
 
 
-_colors_of_runs.defjvp(_colors_of_runs_jvp, symbolic_zeros=True)
+_tiles_of.defjvp(_tiles_of_jvp, symbolic_zeros=True)
 
 
 def _colors_alone(plan: Plan, scene: Scene, samples: SampleBuffer, share: Share | None) -> list[Array]:
@@ -98,11 +106,11 @@ def _colors_alone(plan: Plan, scene: Scene, samples: SampleBuffer, share: Share 
     return [colors_of_run(run, prepared, samples, plan, count, share) for run in surface_runs(scene.surfaces, samples)]
 
 
-def _in_tiles(colors: Float[Array, "tiles 4 smaller"], tile: int) -> Float[Array, "larger 4 tile"]:
-    smaller = colors.shape[-1]
+def _in_tiles(planes: Float[Array, "tiles components smaller"], tile: int) -> Float[Array, "larger components tile"]:
+    components, smaller = planes.shape[1:]
     if smaller == tile:
-        return colors
-    return jnp.swapaxes(colors.reshape(-1, tile // smaller, 4, smaller), 1, 2).reshape(-1, 4, tile)
+        return planes
+    return jnp.swapaxes(planes.reshape(-1, tile // smaller, components, smaller), 1, 2).reshape(-1, components, tile)
 
 
 def _in_one(runs: list[Array], tile: int, dtype: jnp.dtype) -> Float[Array, "tiles 4 tile"]:
@@ -111,8 +119,8 @@ def _in_one(runs: list[Array], tile: int, dtype: jnp.dtype) -> Float[Array, "til
     return jnp.concatenate(runs) if len(runs) > 1 else runs[0]
 
 
-_shade_tiles = jax.jit(_tiles_of, static_argnames="plan")
-_shade_tiles_wide = jax.jit(_tiles_of, static_argnames="plan", compiler_options=WIDE)
+_shade_tiles = jax.jit(_tiles_of, static_argnums=0)
+_shade_tiles_wide = jax.jit(_tiles_of, static_argnums=0, compiler_options=WIDE)
 
 
 @partial(jax.jit, static_argnames=("plan", "shares"), compiler_options=WIDE)

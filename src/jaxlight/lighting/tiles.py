@@ -5,7 +5,8 @@ Derivatives are taken tile by tile too (a tile is computed anew in reverse mode)
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from ..raster.samples import SampleBuffer
 from ..scene import Scene, Surface
-from .one_tile import Run, tile_color
+from .one_tile import Color, Run, tile_color
 from .plan import Plan
 from .prepared import Prepared, on_one_lane
 from .stages import PLANE
@@ -103,19 +104,41 @@ def colors_of_run(
     run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, count: int, share: Share | None = None
 ) -> Float[Array, "tiles 4 tile"]:
     """Red, green, blue and alpha of the tiles of a run or of a share of them, `count` tiles at once."""
+    return _of_run(
+        lambda color: jnp.concatenate([color.rgb, color.alpha[None]]), run, prepared, samples, plan, count, share
+    )
 
+
+def color_and_alpha_of_run(
+    run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, count: int
+) -> tuple[Float[Array, "tiles 3 tile"], Float[Array, "tiles 1 tile"]]:
+    """`colors_of_run` with alpha apart: if it is not asked for, its derivatives are no part of what is kept."""
+    return _of_run(lambda color: (color.rgb, color.alpha[None]), run, prepared, samples, plan, count, None)
+
+
+def _of_run(
+    planes_of: Callable[[Color], Any],
+    run: Run,
+    prepared: Prepared,
+    samples: SampleBuffer,
+    plan: Plan,
+    count: int,
+    share: Share | None,
+) -> Any:
     single = on_one_lane(prepared)
 
-    @jax.checkpoint
-    def body(index: Array, prepared: Prepared, single: Prepared, samples: SampleBuffer) -> Array:
-        color = tile_color(run, prepared, samples, plan, index, count, single=single)
-        planes = jnp.concatenate([color.rgb, color.alpha[None]])
-        return jnp.swapaxes(planes.reshape(4, count, samples.tile), 0, 1)
+    def by_tile(planes: Array) -> Array:
+        return jnp.swapaxes(planes.reshape(-1, count, samples.tile), 0, 1)
 
-    def step(_: None, index: Array) -> tuple[None, Array]:
+    @jax.checkpoint
+    def body(index: Array, prepared: Prepared, single: Prepared, samples: SampleBuffer) -> Any:
+        color = tile_color(run, prepared, samples, plan, index, count, single=single)
+        return jax.tree.map(by_tile, planes_of(color))
+
+    def step(_: None, index: Array) -> tuple[None, Any]:
         return None, body(index, prepared, single, samples)
 
     steps = (run.stop - run.start) // count
     indices = run.start // count + (jnp.arange(steps) if share is None else share.of(steps))
     colors = lax.scan(step, None, indices)[1]
-    return colors.reshape(-1, 4, samples.tile)
+    return jax.tree.map(lambda planes: planes.reshape(-1, *planes.shape[2:]), colors)
