@@ -27,9 +27,14 @@ def _function(plane: jax.Array, number: jax.Array, product: jax.Array) -> tuple[
     return plane * number + jnp.sin(product), product * product
 
 
-def _staged(index: Any, plane: jax.Array, number: jax.Array, array: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _staged(
+    index: Any, plane: jax.Array, number: jax.Array, array: jax.Array, of_numbers: bool = False
+) -> tuple[jax.Array, jax.Array]:
     product = Inlined(jnp.multiply, (plane, Inlined(_part, (array, index))))
-    return Stage(index >= 0).each(_function, plane, number, product, wide=(1,))
+    return Stage(index >= 0).each(_function, plane, number, product, wide=(1,), of_numbers=of_numbers)
+
+
+FORMS = pytest.mark.parametrize("staged", [_staged, partial(_staged, of_numbers=True)], ids=["planes", "one loop"])
 
 
 def _part(array: jax.Array, index: jax.Array) -> jax.Array:
@@ -61,27 +66,33 @@ def _assert_close(found: Any, expected: Any) -> None:
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-12, atol=1e-12), found, expected)
 
 
-def test_a_stage_gives_values_and_reverse_derivatives_of_its_function(inputs: Any) -> None:
+@FORMS
+def test_a_stage_gives_values_and_reverse_derivatives_of_its_function(staged: Any, inputs: Any) -> None:
     with jax.enable_x64(True):
-        _assert_close(_pulled(_staged, inputs), _pulled(_plain, inputs))
+        _assert_close(_pulled(staged, inputs), _pulled(_plain, inputs))
 
 
-def test_a_stage_agrees_with_differences_in_both_modes_and_both_orders(inputs: Any) -> None:
+@FORMS
+def test_a_stage_agrees_with_differences_in_both_modes_and_both_orders(staged: Any, inputs: Any) -> None:
     with jax.enable_x64(True):
-        check_grads(lambda *inputs: _staged(jnp.asarray(0), *inputs), inputs, order=2, modes=("fwd", "rev"))
+        check_grads(lambda *inputs: staged(jnp.asarray(0), *inputs), inputs, order=2, modes=("fwd", "rev"))
 
 
-def test_derivatives_of_a_stage_are_mapped(inputs: Any) -> None:
+@FORMS
+def test_derivatives_of_a_stage_are_mapped(staged: Any, inputs: Any) -> None:
     """Over operands, and over the index that its boundary hangs on."""
     with jax.enable_x64(True):
         planes, indices = jnp.stack([inputs[0], 2 * inputs[0]]), jnp.asarray([1, 0])
 
         def slope(function: Any, index: jax.Array, plane: jax.Array) -> Any:
-            return jax.grad(lambda plane: jnp.sum(function(index, plane, *inputs[1:])[0] ** 2))(plane)
+            def total(plane: jax.Array, number: jax.Array) -> jax.Array:
+                return jnp.sum(function(index, plane, number, inputs[2])[0] ** 2)
+
+            return jax.grad(total, argnums=(0, 1))(plane, inputs[1])
 
         for axes in ((0, 0), (None, 0), (0, None)):
             arguments = (indices if axes[0] == 0 else indices[0], planes if axes[1] == 0 else planes[0])
-            found, expected = (jax.vmap(partial(slope, f), in_axes=axes)(*arguments) for f in (_staged, _plain))
+            found, expected = (jax.vmap(partial(slope, f), in_axes=axes)(*arguments) for f in (staged, _plain))
             _assert_close(found, expected)
 
 

@@ -18,48 +18,82 @@ from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Int
 
 
-def linear_stage(which: Int[Array, ""], functions: Sequence[Callable[..., Any]], known: Any, moving: Any) -> Any:
+def linear_stage(
+    which: Int[Array, ""],
+    functions: Sequence[Callable[..., Any]],
+    known: Any,
+    moving: Any,
+    *,
+    gradient: Callable[..., Any] | None = None,
+    quick: Callable[..., Any] | None = None,
+) -> Any:
     """functions[which - 1](known, moving), linear in `moving`, behind a boundary.
 
     Args:
         which: at least 1, but only the running program knows. Mapped over, the largest counts for all.
         functions: close over no traced value; all give the same shapes.
         known, moving: pytrees of arrays.
+        gradient: gradient(known, results), a quicker form of the functions' transpose; gives what `moving` is.
+        quick: quick(known, moving), a quicker form of the functions. Neither form is differentiated.
     """
     known_leaves, known_tree = jax.tree.flatten(known)
     moving_leaves, moving_tree = jax.tree.flatten(moving)
 
-    def flat(function: Callable[..., Any], *leaves: Array) -> Any:
+    def flat(function: Callable[..., Any], tree: Any, *leaves: Array) -> Any:
         here, there = leaves[: len(known_leaves)], leaves[len(known_leaves) :]
-        return function(known_tree.unflatten(here), moving_tree.unflatten(there))
+        return function(known_tree.unflatten(here), tree.unflatten(there))
 
     leaves = (*known_leaves, *moving_leaves)
-    made = [jax.make_jaxpr(partial(flat, function), return_shape=True)(*leaves) for function in functions]
+    made = [jax.make_jaxpr(partial(flat, function, moving_tree), return_shape=True)(*leaves) for function in functions]
+    shapes = made[0][1]
+    back = here = None
+    if gradient is not None:
+        results, tree = jax.tree.flatten(shapes)
+        back = jax.make_jaxpr(partial(flat, gradient, tree))(*known_leaves, *results)
+    if quick is not None:
+        here = jax.make_jaxpr(partial(flat, quick, moving_tree))(*leaves)
     jaxprs = tuple(jaxpr for jaxpr, _ in made)
-    results = _linear_stage.bind(which, *leaves, jaxprs=jaxprs, known=len(known_leaves))
-    return jax.tree.structure(made[0][1]).unflatten(results)
+    forms = {"jaxprs": jaxprs, "gradient": back, "quick": here}
+    return jax.tree.structure(shapes).unflatten(_linear_stage.bind(which, *leaves, known=len(known_leaves), **forms))
 
 
-def _conditional(which: Array, *operands: Array, jaxprs: tuple[ClosedJaxpr, ...], known: int) -> Sequence[Array]:
+_Form = ClosedJaxpr | None
+
+
+def _evaluated(
+    which: Array, *operands: Array, jaxprs: tuple[ClosedJaxpr, ...], known: int, gradient: _Form, quick: _Form
+) -> Sequence[Array]:
+    return _conditional(which, operands, jaxprs if quick is None else [quick])
+
+
+def _conditional(which: Array, operands: Sequence[Array], jaxprs: Sequence[ClosedJaxpr]) -> Sequence[Array]:
     def never(*_: Array) -> list[Array]:
         return [jnp.zeros(result.shape, result.dtype) for result in jaxprs[0].out_avals]
 
     return lax.switch(which, [never, *map(jaxpr_as_fun, jaxprs)], *operands)
 
 
-def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, jaxprs: tuple[ClosedJaxpr, ...], known: int) -> Any:
+def _jvp(
+    primals: Sequence[Any], tangents: Sequence[Any], *, jaxprs: tuple[ClosedJaxpr, ...], known: int, **quicker: _Form
+) -> Any:
     which, *operands = primals
     changes = tangents[1:]
     moving = [number for number, change in enumerate(changes) if type(change) is not ad.Zero]
 
     def of_moving(*values: Array) -> Any:
-        return _conditional(which, *merged(operands, moving, values), jaxprs=jaxprs, known=known)
+        return _conditional(which, merged(operands, moving, values), jaxprs)
 
     return jax.jvp(of_moving, [operands[number] for number in moving], [changes[number] for number in moving])
 
 
 def _transpose(
-    cotangents: Sequence[Any], which: Array, *operands: Any, jaxprs: tuple[ClosedJaxpr, ...], known: int
+    cotangents: Sequence[Any],
+    which: Array,
+    *operands: Any,
+    jaxprs: tuple[ClosedJaxpr, ...],
+    known: int,
+    gradient: _Form,
+    quick: _Form,
 ) -> list[Any]:
     linear = [number for number, operand in enumerate(operands) if ad.is_undefined_primal(operand)]
     felt = [number for number, cotangent in enumerate(cotangents) if type(cotangent) is not ad.Zero]
@@ -74,23 +108,33 @@ def _transpose(
 
         return list(jax.linear_transpose(of_linear, *shapes)(back))
 
+    def quickly(here: tuple[Array, ...], back: list[Array]) -> list[Array]:
+        assert gradient is not None
+        results = jaxpr_as_fun(gradient)(*here, *back)
+        return [results[number - known] for number in linear]
+
     functions = [partial(pulled, jaxpr) for jaxpr in jaxprs]
-    found = linear_stage(which, functions, tuple(operands[:known]), [cotangents[number] for number in felt])
+    back = [cotangents[number] for number in felt]
+    form = quickly if gradient is not None and len(felt) == len(cotangents) else None
+    found = linear_stage(which, functions, tuple(operands[:known]), back, quick=form)
     return [None, *merged([None] * len(operands), linear, found)]
 
 
-def _batched(operands: Sequence[Any], axes: Sequence[Any], *, jaxprs: tuple[ClosedJaxpr, ...], known: int) -> Any:
+def _batched(
+    operands: Sequence[Any], axes: Sequence[Any], *, jaxprs: tuple[ClosedJaxpr, ...], known: int, **quicker: _Form
+) -> Any:
     which, *operands = operands
     axis, *axes = axes
     which = which if axis is batching.not_mapped else jnp.max(which)
     if all(axis is batching.not_mapped for axis in axes):
-        results = _linear_stage.bind(which, *operands, jaxprs=jaxprs, known=known)
+        results = _linear_stage.bind(which, *operands, jaxprs=jaxprs, known=known, **quicker)
         return results, [batching.not_mapped] * len(results)
 
     def mapped(jaxpr: ClosedJaxpr, here: list[Array], there: list[Array]) -> Any:
         return jax.vmap(jaxpr_as_fun(jaxpr), in_axes=axes)(*here, *there)
 
-    results = linear_stage(which, [partial(mapped, jaxpr) for jaxpr in jaxprs], operands[:known], operands[known:])
+    functions = [partial(mapped, jaxpr) for jaxpr in jaxprs]
+    results = linear_stage(which, functions, operands[:known], operands[known:])
     return results, [0] * len(results)
 
 
@@ -104,9 +148,9 @@ def merged(values: Sequence[Any], numbers: Sequence[int], others: Sequence[Any])
 
 _linear_stage = Primitive("linear_stage")
 _linear_stage.multiple_results = True
-_linear_stage.def_impl(_conditional)
-_linear_stage.def_abstract_eval(lambda *_, jaxprs, known: jaxprs[0].out_avals)
-mlir.register_lowering(_linear_stage, mlir.lower_fun(_conditional, multiple_results=True))
+_linear_stage.def_impl(_evaluated)
+_linear_stage.def_abstract_eval(lambda *_, jaxprs, **others: jaxprs[0].out_avals)
+mlir.register_lowering(_linear_stage, mlir.lower_fun(_evaluated, multiple_results=True))
 ad.primitive_jvps[_linear_stage] = _jvp
 ad.primitive_transposes[_linear_stage] = _transpose
 batching.primitive_batchers[_linear_stage] = _batched

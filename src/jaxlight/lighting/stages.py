@@ -12,7 +12,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,6 +22,8 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Int
 
 from .linear_stage import linear_stage, merged
+from .loop_gradient import gradient_in_one_loop
+from .one_loop import MOST_RESULTS
 from .running_sum import running_sum
 
 PLANE = 8192
@@ -160,6 +162,7 @@ class Stage(eqx.Module):
         wide: tuple[int, ...] = (),
         shared: Callable[..., Any] | None = None,
         less: Callable[[Any], tuple[Array, Any]] | None = None,
+        of_numbers: bool = False,
     ) -> Any:
         """function(*operands, *derived), each result a stage of its own; all their derivatives are one more stage.
 
@@ -176,28 +179,95 @@ class Stage(eqx.Module):
                 them as one more of `derived`.
             less: less(what is shared) gives a plane that is positive where that is needed and else 0, and what does as
                 well, with less to compute, if it is needed nowhere.
+            of_numbers: function is one of numbers, element by element of planes. Gradients by what all rows have in
+                common are then one loop.
         """
-        return _each((function, () if self.forward else wide, shared, less), self, operands, derived)
+        how = _How(function, () if self.forward else wide, shared, less, of_numbers and not self.forward)
+        return _each(how, self, operands, derived)
+
+
+class _How(NamedTuple):
+    """What is static of `Stage.each`."""
+
+    function: Callable[..., Any]
+    wide: tuple[int, ...]
+    shared: Callable[..., Any] | None
+    less: Callable[..., Any] | None
+    of_numbers: bool
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _each(
-    how: tuple[Callable[..., Any], tuple[int, ...], Callable[..., Any] | None, Callable[..., Any] | None],
-    stage: Stage,
-    operands: tuple[Any, ...],
-    derived: tuple[Any, ...],
-) -> Any:
-    return stage.leaf_by_leaf(how[0], *operands, *derived)
+def _each(how: _How, stage: Stage, operands: tuple[Any, ...], derived: tuple[Any, ...]) -> Any:
+    return stage.leaf_by_leaf(how.function, *operands, *derived)
 
 
-def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
-    function, wide, shared, less = how
+def _each_jvp(how: _How, primals: Any, tangents: Any) -> Any:
     (stage, operands, derived), (_, changes, _) = primals, tangents
-    leaves, tree = jax.tree.flatten(operands)
     changes, moving = _moving(changes)
     results = _each(how, stage, operands, derived)
-    if not moving:
-        return results, jax.tree.map(jnp.zeros_like, results)
+    fields = _fields(operands, moving) if how.of_numbers else {}
+    rest = [number for number in moving if number not in fields]
+    found = jax.tree.map(jnp.zeros_like, results) if not moving else None
+    with jax.named_scope(f"stage.{_name(how.function)}.change"):
+        if rest:
+            found = _change(how, stage, operands, derived, results, changes, rest)
+        if fields:
+            directions = [changes[number] for number in fields]
+            own = _change_by_fields(how, stage, operands, derived, results, directions, list(fields.values()))
+            found = own if found is None else jax.tree.map(jnp.add, found, own)
+    return results, found
+
+
+def _fields(operands: Any, moving: list[int]) -> dict[int, int]:
+    """Of the moving leaves those that are the same in all rows, and which planes they are."""
+    found, number = {}, 0
+    for place, plane in enumerate(jax.tree.leaves(operands, is_leaf=is_unstored)):
+        leaves = jax.tree.leaves(plane)
+        if number in moving and not is_unstored(plane) and plane.shape[-2] == 1:
+            found[number] = place
+        number += len(leaves)
+    return found if len(found) <= MOST_RESULTS else {}
+
+
+def _change_by_fields(
+    how: _How, stage: Stage, operands: Any, derived: Any, results: Any, directions: list[Array], places: list[int]
+) -> Any:
+    """The change of the results by the planes in these places, the same in all rows."""
+
+    def of_planes(moved: Any, operands: Any, derived: Any, results: Any) -> Any:
+        if how.shared is None:
+            return how.function(*moved, *derived)
+        return how.function(*moved, *derived, how.shared(results, *operands, *derived))
+
+    def change(known: tuple[Stage, Any], directions: list[Array]) -> Any:
+        operands, derived, results = stored(known[1])
+        planes, tree = jax.tree.flatten(operands)
+
+        def of_moving(*values: Array) -> Any:
+            return of_planes(tree.unflatten(merged(planes, places, values)), operands, derived, results)
+
+        return jax.jvp(of_moving, [planes[place] for place in places], directions)[1]
+
+    def gradient(known: tuple[Stage, Any], cotangents: Any) -> list[Array]:
+        stage, given = known
+        planes, tree = jax.tree.flatten(stored(given))
+
+        def of_numbers(*numbers: Array) -> Any:
+            given = tree.unflatten(numbers)
+            return of_planes(given[0], *jax.lax.stop_gradient(given))
+
+        return gradient_in_one_loop(stage, of_numbers, planes, places, cotangents)
+
+    known = (stage, (operands, derived, results))
+    return linear_stage(stage.always.astype(jnp.int32), [change], known, directions, gradient=gradient)
+
+
+def _change(
+    how: _How, stage: Stage, operands: Any, derived: Any, results: Any, changes: list[Array], moving: list[int]
+) -> Any:
+    """The change of the results by the moving leaves of the operands."""
+    function, wide, shared, less, _ = how
+    leaves, tree = jax.tree.flatten(operands)
     which, choices = stage.always.astype(jnp.int32), [derived]
     if shared is not None:
         planes = stage.leaf_by_leaf(shared, results, *operands, *derived)
@@ -229,9 +299,8 @@ def _each_jvp(how: Any, primals: Any, tangents: Any) -> Any:
 
         return jax.jvp(of_moving, [widened(number, leaves[number]) for number in moving], directions)[1]
 
-    with jax.named_scope(f"stage.{_name(function)}.change"):
-        functions = [partial(change, choice) for choice in range(len(choices))]
-        return results, linear_stage(which, functions, (leaves, choices), directions)
+    functions = [partial(change, choice) for choice in range(len(choices))]
+    return linear_stage(which, functions, (leaves, choices), directions)
 
 
 _each.defjvp(_each_jvp, symbolic_zeros=True)

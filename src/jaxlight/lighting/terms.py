@@ -240,6 +240,7 @@ def _aspect(
         wide=(0, 1, 2, 3, 4, 5),
         shared=None if highlight is None else partial(_slopes, highlight),
         less=None if highlight is None else highlight.fewer_slopes,
+        of_numbers=True,
     )
 
 

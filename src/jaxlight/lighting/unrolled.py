@@ -97,6 +97,7 @@ def _slice(operands: list[Elements], shape: tuple[int, ...], params: dict[str, A
 _MOVES: dict[str, Callable[[list[Elements], tuple[int, ...], dict[str, Any]], Elements]] = {
     "broadcast_in_dim": _broadcast,
     "reshape": lambda operands, shape, params: operands[0].reshape(shape),
+    "stop_gradient": lambda operands, shape, params: operands[0],
     "squeeze": lambda operands, shape, params: operands[0].reshape(shape),
     "expand_dims": lambda operands, shape, params: operands[0].reshape(shape),
     "transpose": lambda operands, shape, params: operands[0].transpose(params["permutation"]),
@@ -108,4 +109,4 @@ _ARITHMETIC = {"abs", "add", "clamp", "div", "floor", "integer_pow", "max", "min
 _FUNCTIONS = {"atan2", "cos", "exp", "exp2", "expm1", "log", "log1p", "pow", "rsqrt", "sin", "sqrt", "square", "tanh"}
 _CHOICES = {"and", "eq", "ge", "gt", "is_finite", "le", "lt", "ne", "not", "or", "select_n", "xor"}
 _BITS = {"bitcast_convert_type", "shift_left", "shift_right_arithmetic", "shift_right_logical"}
-_ELEMENTWISE = _ARITHMETIC | _FUNCTIONS | _CHOICES | _BITS | {"convert_element_type", "copy", "sub"}
+_ELEMENTWISE = _ARITHMETIC | _FUNCTIONS | _CHOICES | _BITS | {"add_any", "convert_element_type", "copy", "sub"}
