@@ -14,7 +14,8 @@ from jax.extend.core import jaxprs_in_params
 from jax.test_util import check_grads
 
 from jaxlight.lighting.linear_stage import linear_stage
-from jaxlight.lighting.stages import Inlined, Stage, stored
+from jaxlight.lighting.stages import Stage
+from jaxlight.lighting.unstored import Inlined, stored
 
 ROWS, LANES = 4, 8
 

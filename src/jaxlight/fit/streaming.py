@@ -16,8 +16,9 @@ from jaxtyping import Array, Float, Int
 
 from ..lighting.one_tile import Color, Run, tile_color, tile_of
 from ..lighting.prepared import Prepared, prepare
-from ..lighting.stages import Inlined, Stage, stored
+from ..lighting.stages import Stage
 from ..lighting.tiles import Share, surface_runs
+from ..lighting.unstored import Inlined, stored
 from .columns import Columns
 from .part import tiles_of_part
 from .problem import Problem, scene_of_view

@@ -17,6 +17,8 @@ from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Int
 
+from .changes import merged
+
 
 def linear_stage(
     which: Int[Array, ""],
@@ -136,14 +138,6 @@ def _batched(
     functions = [partial(mapped, jaxpr) for jaxpr in jaxprs]
     results = linear_stage(which, functions, operands[:known], operands[known:])
     return results, [0] * len(results)
-
-
-def merged(values: Sequence[Any], numbers: Sequence[int], others: Sequence[Any]) -> list[Any]:
-    """The values with others in the places of these numbers."""
-    result = list(values)
-    for number, other in zip(numbers, others, strict=True):
-        result[number] = other
-    return result
 
 
 _linear_stage = Primitive("linear_stage")

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .linear_stage import merged
+from .changes import merged
 from .one_loop import in_one_loop
 from .unrolled import unrolled
 

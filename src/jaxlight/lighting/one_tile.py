@@ -19,14 +19,16 @@ from jaxtyping import Array, Bool, Float
 
 from ..raster.samples import SampleBuffer
 from ..scene import Surface
+from .changes import with_change
 from .culling import received_from_near
 from .highlight import highlight_of
 from .plan import LightPlan, Plan
 from .prepared import Prepared, compute_dtype, lanes_of, material_row, on_one_lane
 from .sample_loops import UNROLLED, SampleLoops, SideBySide
-from .stages import Inlined, Stage, stored, with_change
+from .stages import Stage
 from .surface import MaterialRow, alpha, base_color, sampled_texture
 from .terms import Extent, Geometry, Haze, InRange, Received, Unread, directions, fogged, haze, lit, received
+from .unstored import Inlined, stored
 from .vectors import Vector
 from .world import WorldFog, WorldLights, in_chunks
 

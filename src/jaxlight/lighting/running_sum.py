@@ -17,7 +17,7 @@ from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Int
 
-from .linear_stage import merged
+from .changes import merged
 
 
 def running_sum(function: Callable[[Int[Array, ""]], Any], count: Int[Array, ""]) -> Any:

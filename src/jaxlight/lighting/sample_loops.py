@@ -19,8 +19,9 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .one_loop import in_one_loop
-from .stages import Stage, Unstored, is_unstored, stored
+from .stages import Stage
 from .unrolled import unrolled
+from .unstored import Unstored, is_unstored, stored
 
 UNROLLED = 8
 """Lights that one loop evaluates: it holds the code for each of them."""

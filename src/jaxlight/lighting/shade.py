@@ -13,12 +13,12 @@ from jaxtyping import Array, Float, Int
 
 from ..raster.samples import SampleBuffer
 from ..scene import Scene
+from .changes import with_change
 from .cores import in_threads, shares_of
 from .options import LightingOptions
 from .plan import Plan, make_plan
 from .prepared import compute_dtype, prepare
 from .registers import WIDE
-from .stages import with_change
 from .tiles import (
     Share,
     color_and_alpha_of_run,

@@ -18,10 +18,12 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from . import factors
+from .changes import change_of
 from .elementary import ratio
 from .highlight import Highlight
-from .stages import Inlined, Stage, change_of, stored
+from .stages import Stage
 from .surface import MaterialRow
+from .unstored import Inlined, stored
 from .vectors import (
     Matrix,
     Vector,
