@@ -81,7 +81,7 @@ def test_a_stage_agrees_with_differences_in_both_modes_and_both_orders(staged: A
 
 @FORMS
 def test_derivatives_of_a_stage_are_mapped(staged: Any, inputs: Any) -> None:
-    """Over operands, and over the index that its boundary hangs on."""
+    """Over operands, and over the index that its boundary hangs on; mapped and then differentiated too."""
     with jax.enable_x64(True):
         planes, indices = jnp.stack([inputs[0], 2 * inputs[0]]), jnp.asarray([1, 0])
 
@@ -91,6 +91,13 @@ def test_derivatives_of_a_stage_are_mapped(staged: Any, inputs: Any) -> None:
 
             return jax.grad(total, argnums=(0, 1))(plane, inputs[1])
 
+        def total_of_all(function: Any, plane: jax.Array, number: jax.Array) -> Any:
+            many = jax.vmap(lambda plane: function(indices[0], plane, number, inputs[2])[0])(plane)
+            return jnp.sum(many**2)
+
+        _assert_close(
+            *(jax.grad(partial(total_of_all, f), argnums=(0, 1))(planes, inputs[1]) for f in (staged, _plain))
+        )
         for axes in ((0, 0), (None, 0), (0, None)):
             arguments = (indices if axes[0] == 0 else indices[0], planes if axes[1] == 0 else planes[0])
             found, expected = (jax.vmap(partial(slope, f), in_axes=axes)(*arguments) for f in (staged, _plain))

@@ -123,20 +123,40 @@ def _transpose(
 
 
 def _batched(
-    operands: Sequence[Any], axes: Sequence[Any], *, jaxprs: tuple[ClosedJaxpr, ...], known: int, **quicker: _Form
+    operands: Sequence[Any],
+    axes: Sequence[Any],
+    *,
+    jaxprs: tuple[ClosedJaxpr, ...],
+    known: int,
+    gradient: _Form,
+    quick: _Form,
 ) -> Any:
     which, *operands = operands
     axis, *axes = axes
     which = which if axis is batching.not_mapped else jnp.max(which)
     if all(axis is batching.not_mapped for axis in axes):
-        results = _linear_stage.bind(which, *operands, jaxprs=jaxprs, known=known, **quicker)
+        results = _linear_stage.bind(which, *operands, jaxprs=jaxprs, known=known, gradient=gradient, quick=quick)
         return results, [batching.not_mapped] * len(results)
 
     def mapped(jaxpr: ClosedJaxpr, here: list[Array], there: list[Array]) -> Any:
         return jax.vmap(jaxpr_as_fun(jaxpr), in_axes=axes)(*here, *there)
 
-    functions = [partial(mapped, jaxpr) for jaxpr in jaxprs]
-    results = linear_stage(which, functions, operands[:known], operands[known:])
+    def mapped_gradient(jaxpr: ClosedJaxpr, here: list[Array], back: list[Array]) -> list[Array]:
+        in_axes = (*axes[:known], *([0] * len(back)))
+        found = jax.vmap(jaxpr_as_fun(jaxpr), in_axes=in_axes)(*here, *back)
+        return [
+            jnp.sum(own, axis=0) if axis is batching.not_mapped else jnp.moveaxis(own, 0, axis)
+            for axis, own in zip(axes[known:], found, strict=True)
+        ]
+
+    results = linear_stage(
+        which,
+        [partial(mapped, jaxpr) for jaxpr in jaxprs],
+        operands[:known],
+        operands[known:],
+        gradient=None if gradient is None else partial(mapped_gradient, gradient),
+        quick=None if quick is None else partial(mapped, quick),
+    )
     return results, [0] * len(results)
 
 
