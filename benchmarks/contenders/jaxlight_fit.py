@@ -13,6 +13,7 @@ from jaxlight.fit.fitting import run_fit
 from jaxlight.fit.normal import loss_and_gradient, normal_equations
 from jaxlight.fit.problem import make_problem
 from jaxlight.fit.run import make_solver
+from jaxlight.lighting import compiler_options
 
 from ..fit_problem import FREE, fit_arrays, fit_start, with_values
 from ..workload import Arrays, Workload
@@ -82,8 +83,7 @@ class JaxlightFit(Contender):
         free = [path_of(name, row) for name, row in self._names()]
         problem, self._description = make_problem(scene, views, free)
         values = problem.parameters.start
-        wide = {"xla_cpu_prefer_vector_width": 512} if jax.default_backend() == "cpu" else None
-        compiled = jax.jit(function, compiler_options=wide).lower(problem, values).compile()
+        compiled = jax.jit(function, compiler_options=compiler_options()).lower(problem, values).compile()
         return lambda: jax.block_until_ready(compiled(problem, values))
 
     def value_and_gradient(self, result: Any) -> ValueAndGradient:

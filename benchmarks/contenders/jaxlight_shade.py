@@ -9,8 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlight.lighting import LightingOptions, Plan, make_plan, shade_tiles
-from jaxlight.lighting.registers import WIDE
+from jaxlight.lighting import LightingOptions, Plan, compiler_options, make_plan, shade_tiles
 from jaxlight.raster import SampleBuffer
 from jaxlight.scene import Scene, nodes
 
@@ -140,10 +139,10 @@ class JaxlightShade(Contender):
 
         if operation == "forward":
             arguments: tuple[Any, ...] = (self._scene, self._samples)
-            program = jax.jit(colors, compiler_options=WIDE).lower(*arguments).compile()
+            program = jax.jit(colors, compiler_options=compiler_options()).lower(*arguments).compile()
         else:
             arguments = (free, fixed, self._samples, self._target, self._weight)
-            program = jax.jit(jax.value_and_grad(loss)).lower(*arguments).compile()
+            program = jax.jit(jax.value_and_grad(loss), compiler_options=compiler_options()).lower(*arguments).compile()
         return lambda: jax.block_until_ready(program(*arguments)), program.as_text() or ""
 
     def colors(self, result: Any) -> np.ndarray:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from .image import encode as encode
     from .image import render as render
     from .lighting import LightingOptions as LightingOptions
+    from .lighting import compiler_options as compiler_options
     from .lighting import shade as shade
     from .raster import Camera as Camera
     from .raster import Orthographic as Orthographic
@@ -59,7 +60,7 @@ _STAGES = {
     ],
     "formats": ["SceneFileError", "SceneFileWarning", "load", "read_image", "save", "write_image"],
     "raster": ["Camera", "Orthographic", "SampleBuffer", "rasterize", "samples_from_maps"],
-    "lighting": ["LightingOptions", "shade"],
+    "lighting": ["LightingOptions", "compiler_options", "shade"],
     "image": ["compare", "decode", "encode", "render"],
     "fit": ["Fit", "Free", "View", "check_gradients", "fit", "write_report"],
 }

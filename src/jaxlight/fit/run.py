@@ -24,8 +24,8 @@ import optimistix as optx
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from ..lighting.compiling import quick_jit
 from ..lighting.cores import in_threads, shares_of
-from ..lighting.registers import wide_jit
 from ..lighting.tiles import Share
 from . import normal
 from .problem import Problem
@@ -115,7 +115,7 @@ def begin(problem: Problem, solver: BoundedLevenbergMarquardt, start: Any = None
     )
 
 
-@wide_jit
+@quick_jit
 def _initialised(problem: Problem, solver: BoundedLevenbergMarquardt, values: Array) -> SolverState:
     return solver.init(residual_function, values, problem, _OPTIONS, None, None, frozenset())
 
@@ -154,7 +154,7 @@ def _part(problem: Problem, state: FitState) -> Problem:
     return eqx.tree_at(lambda problem: problem.every, problem, state.every)
 
 
-@wide_jit
+@quick_jit
 def advance_alone(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState) -> FitState:
     """`advance` in one compiled call."""
     return _stepped(_part(problem, state), solver, state, _OPTIONS)
@@ -166,17 +166,17 @@ def _stepped(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitStat
     return dataclasses.replace(state, values=values, solver=inner, over=over)
 
 
-@wide_jit
+@quick_jit
 def _trial_moments(problem: Problem, state: FitState, share: Array, shares: int) -> normal.Moments:
     return normal.trial_moments(_part(problem, state), state.solver.y_eval, Share(share, shares))
 
 
-@wide_jit
+@quick_jit
 def _model_moments(problem: Problem, state: FitState, values: Array, share: Array, shares: int) -> normal.Moments:
     return normal.model_moments(_part(problem, state), values, Share(share, shares))
 
 
-@wide_jit
+@quick_jit
 def _judged(
     problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState, moments: normal.Moments
 ) -> tuple[Array, Array, Array]:
@@ -187,7 +187,7 @@ def _judged(
     return trial, jnp.where(accept, loss, jnp.inf), accept
 
 
-@wide_jit
+@quick_jit
 def _advanced(
     problem: Problem,
     solver: BoundedLevenbergMarquardt,

@@ -1,6 +1,7 @@
 """The lighting equation on sample buffers: pure, jitted, differentiable."""
 
 from . import release as release
+from .compiling import compiler_options as compiler_options
 from .options import LightingOptions as LightingOptions
 from .plan import Plan as Plan
 from .plan import make_plan as make_plan

@@ -34,10 +34,16 @@ from .world import WorldFog, WorldLights, in_chunks
 
 
 class Color(NamedTuple):
-    """What a tile gives: planes [3, samples] and [samples]."""
+    """What a tile gives."""
 
-    rgb: Array
-    alpha: Array
+    rgb: Float[Array, "3 samples"]
+    opacity: Float[Array, " #samples"]
+    """Alpha; one number if it is the same of all samples."""
+
+    @property
+    def alpha(self) -> Float[Array, " samples"]:
+        """Of every sample."""
+        return jnp.broadcast_to(self.opacity, self.rgb.shape[-1:])
 
 
 class Run(NamedTuple):
@@ -192,8 +198,8 @@ def _color(stage: Stage, how: How, prepared: Prepared, samples: SampleBuffer, in
         rgb = stage.together(partial(_rgb, how, None), in_range, inputs)
     own = None if vertex_color is None else stored(vertex_color).stacked()
     opacity = alpha(plan.options, material, own, texel)
-    opacity = jnp.broadcast_to(1.0 if opacity is None else opacity, (rows, lanes)).astype(dtype)
-    return Color(stored(rgb).astype(dtype).reshape(3, tile), opacity.reshape(tile))
+    opacity = jnp.ones(1, dtype) if opacity is None else opacity.astype(dtype).reshape(-1)
+    return Color(stored(rgb).astype(dtype).reshape(3, tile), opacity)
 
 
 def tile_of(plane: Array, index: Array, tile: int) -> Array:

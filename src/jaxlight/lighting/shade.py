@@ -14,11 +14,11 @@ from jaxtyping import Array, Float, Int
 from ..raster.samples import SampleBuffer
 from ..scene import Scene
 from .changes import with_change
+from .compiling import CPU_OPTIONS
 from .cores import in_threads, shares_of
 from .options import LightingOptions
 from .plan import Plan, make_plan
 from .prepared import compute_dtype, prepare
-from .registers import WIDE
 from .tiles import (
     Share,
     color_and_alpha_of_run,
@@ -70,7 +70,7 @@ def shade_tiles(
         return _shade_tiles(plan, scene, samples)
     shares = shares_of(samples.slots)
     if shares == 1:
-        return _shade_tiles_wide(plan, scene, samples)
+        return _shade_tiles_on_cpu(plan, scene, samples)
     colors = in_threads(lambda number: _shade_share(scene, samples, plan, number, shares), shares)
     return _joined(colors, tuple(run.stop - run.start for run in surface_runs(scene.surfaces, samples)), samples.tile)
 
@@ -120,10 +120,10 @@ def _in_one(runs: list[Array], tile: int, dtype: jnp.dtype) -> Float[Array, "til
 
 
 _shade_tiles = jax.jit(_tiles_of, static_argnums=0)
-_shade_tiles_wide = jax.jit(_tiles_of, static_argnums=0, compiler_options=WIDE)
+_shade_tiles_on_cpu = jax.jit(_tiles_of, static_argnums=0, compiler_options=CPU_OPTIONS)
 
 
-@partial(jax.jit, static_argnames=("plan", "shares"), compiler_options=WIDE)
+@partial(jax.jit, static_argnames=("plan", "shares"), compiler_options=CPU_OPTIONS)
 def _shade_share(scene: Scene, samples: SampleBuffer, plan: Plan, number: Int[Array, ""], shares: int) -> list[Array]:
     return _colors_alone(plan, scene, samples, Share(number, shares))
 

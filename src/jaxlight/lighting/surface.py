@@ -61,12 +61,15 @@ def alpha(
     vertex_color: Float[Array, "components rows lanes"] | None,
     texel: Float[Array, "components rows lanes"] | None,
 ) -> Float[Array, "#rows #lanes"] | None:
-    """A of tables 17.2 and 17.3; None: 1. A vertex colour's alpha takes the place of 1 - transparency."""
+    """A of tables 17.2 and 17.3; None: 1. A vertex colour's alpha takes the place of 1 - transparency.
+
+    Of a material alone it is one number, [1, 1].
+    """
     own = None
     if vertex_color is not None and vertex_color.shape[0] == 4:
         own = vertex_color[3]
     elif material is not None:
-        own = 1.0 - material.transparency
+        own = 1.0 - material.transparency[:, :1]
     if texel is None or texel.shape[0] not in (2, 4):
         return own
     return texel[-1] * own if options.texture_mode == "modulate" and own is not None else texel[-1]

@@ -104,16 +104,29 @@ def colors_of_run(
     run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, count: int, share: Share | None = None
 ) -> Float[Array, "tiles 4 tile"]:
     """Red, green, blue and alpha of the tiles of a run or of a share of them, `count` tiles at once."""
-    return _of_run(
-        lambda color: jnp.concatenate([color.rgb, color.alpha[None]]), run, prepared, samples, plan, count, share
-    )
+
+    def planes_of(color: Color) -> Array:
+        return _by_tile(jnp.concatenate([color.rgb, color.alpha[None]]), samples.tile)
+
+    return _of_run(planes_of, run, prepared, samples, plan, count, share).reshape(-1, 4, samples.tile)
 
 
 def color_and_alpha_of_run(
     run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, count: int
 ) -> tuple[Float[Array, "tiles 3 tile"], Float[Array, "tiles 1 tile"]]:
-    """`colors_of_run` with alpha apart: if it is not asked for, its derivatives are no part of what is kept."""
-    return _of_run(lambda color: (color.rgb, color.alpha[None]), run, prepared, samples, plan, count, None)
+    """`colors_of_run` with alpha apart, as small as it may be: what is kept for its derivatives is as small then."""
+
+    def planes_of(color: Color) -> Color:
+        # In one row: what has an axis of length 1 would be copied in reverse mode.
+        return color._replace(rgb=_by_tile(color.rgb, samples.tile).reshape(-1))
+
+    colors = _of_run(planes_of, run, prepared, samples, plan, count, None)
+    alpha = jnp.broadcast_to(colors.opacity, (colors.opacity.shape[0], count * samples.tile))
+    return colors.rgb.reshape(-1, 3, samples.tile), alpha.reshape(-1, 1, samples.tile)
+
+
+def _by_tile(planes: Float[Array, "components samples"], tile: int) -> Float[Array, "tiles components tile"]:
+    return jnp.swapaxes(planes.reshape(planes.shape[0], -1, tile), 0, 1)
 
 
 def _of_run(
@@ -127,18 +140,13 @@ def _of_run(
 ) -> Any:
     single = on_one_lane(prepared)
 
-    def by_tile(planes: Array) -> Array:
-        return jnp.swapaxes(planes.reshape(-1, count, samples.tile), 0, 1)
-
     @jax.checkpoint
     def body(index: Array, prepared: Prepared, single: Prepared, samples: SampleBuffer) -> Any:
-        color = tile_color(run, prepared, samples, plan, index, count, single=single)
-        return jax.tree.map(by_tile, planes_of(color))
+        return planes_of(tile_color(run, prepared, samples, plan, index, count, single=single))
 
     def step(_: None, index: Array) -> tuple[None, Any]:
         return None, body(index, prepared, single, samples)
 
     steps = (run.stop - run.start) // count
     indices = run.start // count + (jnp.arange(steps) if share is None else share.of(steps))
-    colors = lax.scan(step, None, indices)[1]
-    return jax.tree.map(lambda planes: planes.reshape(-1, *planes.shape[2:]), colors)
+    return lax.scan(step, None, indices)[1]
