@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import jax
@@ -164,20 +165,42 @@ def test_the_gradient_is_the_derivative_of_the_loss() -> None:
 
 
 @pytest.mark.parametrize(
-    ("free", "weighing", "shaping"),
+    ("free", "directions"),
     [
-        (FREE, 5, 7),  # three colours and two strengths; an exponent, a place, an attenuation
-        (["Material[*].diffuse_color"], 2, 0),
-        ([Free("Material[*].diffuse_color", tied=True), "PointLight[key].color.b"], 2, 0),
-        ([Free("Material[body].diffuse_color", tied="all"), "View[0].exposure"], 2, 0),
-        ([Free(["Material[body].specular_color.g", "Material[body].shininess"], tied="all")], 0, 1),
+        (FREE, [4, 1, 1, 3, 3]),  # three colours and transparency, ambient, an exponent, an attenuation, a place
+        (["Material[*].diffuse_color"], [2]),
+        ([Free("Material[*].diffuse_color", tied=True), "PointLight[key].color.b"], [1, 1]),
+        ([Free("Material[body].diffuse_color", tied="all"), "View[0].exposure"], [2]),
+        ([Free(["Material[body].specular_color.g", "Material[body].shininess"], tied="all")], [1]),
+        (["Material[body].shininess", "PointLight[*].color", "PointLight[*].intensity"], [4, 1]),
     ],
 )
-def test_a_colour_s_components_share_one_derivative(free: list[Any], weighing: int, shaping: int) -> None:
+def test_a_colour_s_components_share_one_derivative(free: list[Any], directions: list[int]) -> None:
     with precision("float32") as dtype:
         view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE))
         columns = make_problem(scene(dtype), view, free)[0].columns
-    assert (columns.weighing.shape[0], columns.shaping.shape[0]) == (weighing, shaping)
+    assert [group.directions for group in columns.groups] == directions
+
+
+@pytest.mark.parametrize(
+    ("free", "differentiated"),
+    [
+        ("Material[body].emissive_color", {"colored"}),
+        ("PointLight[key].intensity", {"colored", "weights"}),
+        ("Material[body].shininess", {"colored", "weights", "exponents"}),
+        ("PointLight[key].attenuation", {"colored", "weights", "reach"}),
+        ("PointLight[key].location", {"colored", "weights", "reach", "seen"}),
+    ],
+)
+@pytest.mark.parametrize("function", [normal.normal_equations, normal.loss_and_gradient])
+def test_what_no_free_number_moves_is_not_differentiated(function: Any, free: str, differentiated: set[str]) -> None:
+    with precision("float32") as dtype:
+        lit = scene(dtype)
+        picture = sphere_picture(SIZE)
+        made = make_problem(lit, View(sphere_samples(SIZE, dtype=dtype), picture), [free])[0]
+        program = jax.jit(function).lower(made, made.parameters.start).as_text(debug_info=True)
+    stages = set(re.findall(r"stage\.(\w+)\.change", program)) - {"residual", "power"}
+    assert stages == differentiated
 
 
 def test_settled_numbers_are_at_their_best_and_the_others_where_they_were() -> None:

@@ -1,19 +1,24 @@
 """Which columns of the Jacobian are computed together: a colour's component reaches its own channel only.
 
 One derivative along red, green and blue at once holds all three columns, a channel each (Curtis, Powell and Reid's
-compression). And the equation weighs colours by factors of the geometry alone, so that derivatives by colours and
-strengths leave the geometry untouched.
+compression). And what a number moves passes through part of the equation only, so that directions are taken in groups:
 
-    weighing   colours and strengths: derivatives of sums and products
-    shaping    places, directions, angles, exponents: derivatives through the whole equation
+    surfaces   colours of materials and fog, exposures: products with light that stays
+    strengths  colours and strengths of lights: sums and products with factors of the geometry
+    exponents  of highlights: their powers
+    reach      attenuation, radii, cones, visibility: factors of distances and angles that stay
+    places     all else, places and directions: the whole equation
 
-Among those that weigh, some are linear together: all colours of materials, or the colours of lights, or their
-strengths, or the exposures, but no two of these, since they multiply each other.
+Surfaces and strengths weigh, the others shape. Among those that weigh, some are linear together: all colours of
+materials, or the colours of lights, or their strengths, or the exposures, but no two of these, since they multiply each
+other.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from enum import IntEnum
+from itertools import groupby
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -23,7 +28,7 @@ from jaxtyping import Array, Float
 from .parameters import Parameters
 
 _COLORS = ("diffuse_color", "specular_color", "emissive_color", "color")
-_STRENGTHS = ("ambient_intensity", "intensity", "transparency")
+_REACH = ("attenuation", "radius", "beam_width", "cut_off_angle", "visibility_range")
 _ADDED = (("materials", "emissive_color"), ("fog", "color"))
 _LIGHTS = ("directional", "point", "spot")
 _TOGETHER: tuple[frozenset[tuple[str, str]], ...] = (
@@ -35,18 +40,36 @@ _TOGETHER: tuple[frozenset[tuple[str, str]], ...] = (
 """Fields in which the equation is linear as long as all others are fixed."""
 
 
+class Kind(IntEnum):
+    """What a number moves."""
+
+    SURFACES = 0
+    STRENGTHS = 1
+    EXPONENTS = 2
+    REACH = 3
+    PLACES = 4
+    SEVERAL = 5
+    """Ties between numbers of several kinds."""
+
+
+class Group(NamedTuple):
+    """Consecutive directions of one kind."""
+
+    directions: int
+    leaves: tuple[int, ...]
+    """Which of `Parameters.leaves` they move."""
+
+
 class Columns(eqx.Module):
     """Directions in which a fit is differentiated, and which channel of each is a number's column."""
 
-    weighing: Float[Array, "weighing numbers"]
-    """1 where a direction moves a number that weighs."""
-    shaping: Float[Array, "shaping numbers"]
+    directions: Float[Array, "directions numbers"]
+    """1 where a direction moves a number."""
     own: Float[Array, "3 directions numbers"]
-    """1 where a channel of a direction (weighing ones first) is that channel of a number's column."""
-    mixed: bool = eqx.field(static=True)
-    """True if a number both weighs and shapes (ties between such fields); it counts as shaping."""
+    """1 where a channel of a direction is that channel of a number's column."""
+    groups: tuple[Group, ...] = eqx.field(static=True)
     together: int = eqx.field(static=True)
-    """So many directions, the first of the weighing ones, are linear together."""
+    """So many directions, the first ones, are linear together."""
 
     @property
     def count(self) -> int:
@@ -59,7 +82,14 @@ class Columns(eqx.Module):
 
     def first(self, few: int) -> Columns:
         """The first of those that are linear together."""
-        return Columns(self.weighing[:few], self.shaping[:0], self.own[:, :few], mixed=False, together=few)
+        ends = np.cumsum([group.directions for group in self.groups])
+        starts = [int(end) - group.directions for end, group in zip(ends, self.groups, strict=True)]
+        groups = [
+            group._replace(directions=min(group.directions, few - start))
+            for start, group in zip(starts, self.groups, strict=True)
+            if start < few
+        ]
+        return Columns(self.directions[:few], self.own[:, :few], tuple(groups), few)
 
     def gathered(self, products: Float[Array, "3 directions directions"]) -> Float[Array, "numbers numbers"]:
         """J^T J from the products of the directions' derivatives, channel by channel."""
@@ -77,34 +107,35 @@ class Columns(eqx.Module):
 def columns_of(parameters: Parameters, dtype: Any) -> Columns:
     """The directions for these parameters (texels of blocks are none of them)."""
     sets: list[list[tuple[Any, int]]] = [[] for _ in range(parameters.few)]
-    for part in parameters.leaves:
+    places: list[set[int]] = [set() for _ in sets]
+    for place, part in enumerate(parameters.leaves):
         for element, number in zip(np.asarray(part.elements).tolist(), np.asarray(part.sources).tolist(), strict=True):
             sets[number].append((part.leaf, element))
+            places[number].add(place)
     together = _most_together(sets)
-    groups: dict[Any, dict[int, int]] = {}
-    rank: dict[Any, int] = {}
-    mixed = False
+    # Of each direction: by channel the numbers that it moves; where it comes in the order; which leaves it moves.
+    columns: dict[Any, dict[int, int]] = {}
+    order: dict[Any, tuple[bool, Kind]] = {}
+    moved: dict[Any, set[int]] = {}
     for number, elements in enumerate(sets):
-        kinds = {_weighs(leaf) for leaf, _ in elements}
-        mixed |= len(kinds) > 1
         channel = _channel(elements)
         key: Any = number if channel is None else tuple((leaf, element // 3) for leaf, element in elements)
-        groups.setdefault(key, {})[-1 if channel is None else channel] = number
-        rank[key] = 0 if number in together else 1 if kinds == {True} else 2
-    keys = sorted(groups, key=lambda key: rank[key])
+        columns.setdefault(key, {})[-1 if channel is None else channel] = number
+        moved.setdefault(key, set()).update(places[number])
+        kinds = {_kind(leaf) for leaf, _ in elements}
+        order[key] = (number not in together, kinds.pop() if len(kinds) == 1 else Kind.SEVERAL)
+    keys = sorted(columns, key=lambda key: order[key])
     directions, own = np.zeros((len(keys), len(sets))), np.zeros((3, len(keys), len(sets)))
     for row, key in enumerate(keys):
-        for channel, number in groups[key].items():
+        for channel, number in columns[key].items():
             directions[row, number] = 1
             own[slice(None) if channel < 0 else channel, row, number] = 1
-    ranks = list(rank.values())
-    weighing = ranks.count(0) + ranks.count(1)
+    groups = [list(group) for _, group in groupby(keys, key=lambda key: order[key][1])]
     return Columns(
-        jnp.asarray(directions[:weighing], dtype),
-        jnp.asarray(directions[weighing:], dtype),
+        jnp.asarray(directions, dtype),
         jnp.asarray(own, dtype),
-        mixed,
-        ranks.count(0),
+        tuple(Group(len(group), tuple(sorted(set().union(*(moved[key] for key in group))))) for group in groups),
+        sum(not later for later, _ in order.values()),
     )
 
 
@@ -115,8 +146,16 @@ def _most_together(sets: list[list[tuple[Any, int]]]) -> set[int]:
     return max(choices, key=len)
 
 
-def _weighs(leaf: Any) -> bool:
-    return leaf is None or leaf.field in _COLORS or leaf.field in _STRENGTHS
+def _kind(leaf: Any) -> Kind:
+    if leaf is None or leaf.field == "transparency":
+        return Kind.SURFACES
+    if leaf.field in _COLORS:
+        return Kind.STRENGTHS if leaf.attribute in _LIGHTS else Kind.SURFACES
+    if leaf.field in ("intensity", "ambient_intensity"):
+        return Kind.STRENGTHS
+    if leaf.field == "shininess":
+        return Kind.EXPONENTS
+    return Kind.REACH if leaf.field in _REACH else Kind.PLACES
 
 
 def _channel(elements: list[tuple[Any, int]]) -> int | None:

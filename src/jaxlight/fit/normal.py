@@ -21,6 +21,7 @@ from ..lighting.tiles import Share, tiles_at_once
 from ..raster.samples import LANES
 from .columns import Columns
 from .curvature import DenseCurvature, NormalEquations
+from .moved import moved_leaves
 from .parameters import World
 from .problem import Problem, scene_of_view
 from .residuals import half_losses, reweight, view_colors, weighted_difference
@@ -33,7 +34,6 @@ from .streaming import (
     derivatives_by_tile,
     over_tiles,
     over_views,
-    split_inputs,
     sum_over_tiles,
     view_inputs,
 )
@@ -72,11 +72,11 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
         if view.pixel is not None:
             return add(carry, pulled(lambda v: view_residual(problem, problem.at(v), view), values))
 
-        def parts_at(values: Array) -> tuple[ViewInputs, ViewInputs]:
-            weighing, shaping, fixed = split_inputs(problem, view_inputs(problem, view, values))
-            return eqx.combine(weighing, shaping), fixed
+        def inputs_at(values: Array) -> ViewInputs:
+            return view_inputs(problem, view, values)
 
-        moving, pull, fixed = jax.vjp(parts_at, values, has_aux=True)
+        moved = moved_leaves(inputs_at, values)
+        moving, pull, fixed = jax.vjp(lambda v: eqx.partition(inputs_at(v), moved), values, has_aux=True)
         leaves, tree = jax.tree.flatten(moving)
 
         def of_tile(carry: Any, tile: Tile) -> Any:
@@ -178,18 +178,17 @@ def _settling(problem: Problem) -> Columns:
 
 
 def _moments(problem: Problem, values: Array, columns: Columns, share: Share | None) -> Moments:
-    def products(residual: Array, planes: Array) -> tuple[Array, Array, Array]:
+    def products(residual: Array, rows: Array) -> tuple[Array, Array, Array]:
         weight = reweight(*problem.rho, residual)
-        heard = planes if weight is None else planes * weight[:, None]
-        both = jnp.concatenate([planes, residual[:, None]], axis=1)
-        product = jnp.einsum("cip,cjp->cij", heard, both, precision="highest")
-        return half_losses(*problem.rho, residual), product[:, :, -1], product[:, :, :-1]
+        heard = rows if weight is None else rows * weight[:, None]
+        product = jnp.einsum("cip,cjp->cij", heard, rows, precision="highest")
+        return half_losses(*problem.rho, residual), product[:, :-1, -1], product[:, :-1, :-1]
 
     def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
         if view.pixel is not None:
             residual, push = jax.linearize(lambda v: view_residual(problem, problem.at(v), view), values)
-            planes = jax.lax.map(push, jnp.concatenate([columns.weighing, columns.shaping]))
-            return add(carry, products(residual, jnp.swapaxes(planes, 0, 1)))
+            rows = jax.lax.map(push, columns.directions)
+            return add(carry, products(residual, jnp.swapaxes(jnp.concatenate([rows, residual[None]]), 0, 1)))
         derivatives = derivatives_by_tile(problem, view, values, columns)
 
         def of_tile(carry: Any, tile: Tile) -> Any:

@@ -19,7 +19,9 @@ from ..lighting.prepared import Prepared, prepare
 from ..lighting.stages import Stage
 from ..lighting.tiles import Share, surface_runs
 from ..lighting.unstored import Inlined, stored
-from .columns import Columns
+from .columns import Columns, Group
+from .moved import moved_leaves
+from .parameters import World
 from .part import tiles_of_part
 from .problem import Problem, scene_of_view
 from .residuals import composited, weighted_difference
@@ -55,38 +57,11 @@ class Tile(NamedTuple):
 
 def view_inputs(problem: Problem, view: ViewData, values: Float[Array, " parameters"]) -> ViewInputs:
     """The inputs of a view's tiles at these values."""
-    world = problem.at(values)
+    return _inputs_of(problem.at(values), view)
+
+
+def _inputs_of(world: World, view: ViewData) -> ViewInputs:
     return ViewInputs(prepare(scene_of_view(world, view), view.samples, view.plan), world.exposure[view.row])
-
-
-def split_inputs(problem: Problem, inputs: ViewInputs) -> tuple[ViewInputs, ViewInputs, ViewInputs]:
-    """(what weighing directions move, what shaping ones move, what none moves), see `columns`.
-
-    Textures are moved only where texels are labelled numbers.
-    """
-    moving, fixed = eqx.partition(inputs, eqx.is_inexact_array)
-    if not any(leaf.leaf is not None and leaf.leaf.kind == "Texture" for leaf in problem.parameters.leaves):
-        nothing = (None,) * len(inputs.prepared.textures)
-        moving = eqx.tree_at(_textures, moving, nothing)
-        fixed = eqx.tree_at(_textures, fixed, _textures(inputs), is_leaf=_is_none)
-    nowhere = jax.tree.map(lambda _: False, moving)
-    weighs = eqx.tree_at(_weights, nowhere, replace_fn=lambda tree: jax.tree.map(lambda _: True, tree))
-    weighing, shaping = eqx.partition(moving, weighs)
-    return weighing, shaping, fixed
-
-
-def _weights(inputs: ViewInputs) -> list[Any]:
-    """What colours and strengths come to."""
-    prepared = inputs.prepared
-    found: list[Any] = [inputs.exposure]
-    if prepared.materials is not None:
-        materials = prepared.materials
-        found += [materials.diffuse_color, materials.specular_color, materials.emissive_color]
-        found += [materials.ambient_intensity, materials.transparency]
-    for lights in (prepared.directional, prepared.point, prepared.spot):
-        if lights is not None:
-            found += [lights.color, lights.intensity] + ([] if lights.ambient is None else [lights.ambient])
-    return found if prepared.fog is None else [*found, prepared.fog.color]
 
 
 def with_textures(inputs: ViewInputs, images: tuple[Array, ...]) -> ViewInputs:
@@ -105,36 +80,57 @@ def _is_none(leaf: Any) -> bool:
 def derivatives_by_tile(
     problem: Problem, view: ViewData, values: Float[Array, " parameters"], columns: Columns
 ) -> Callable[[Tile], tuple[Array, Array]]:
-    """A function of a tile: its residuals [3, samples] and their derivatives [3, directions, samples], see `columns`.
+    """A function of a tile: its residuals [3, samples], and the rows [3, directions + 1, samples] of their derivatives,
+    see `columns`, with the residuals as the last.
 
-    The scene is linearised once a view, the tiles with respect to what the scene comes to.
+    The scene is linearised once a view, the tiles with respect to what a group of directions moves.
     """
-    few = problem.parameters.few
-
-    def parts_at(numbers: Array) -> tuple[ViewInputs, ViewInputs, ViewInputs]:
-        return split_inputs(problem, view_inputs(problem, view, jnp.concatenate([numbers, values[few:]])))
-
-    fixed = parts_at(values[:few])[2]
-    (weighing, shaping), push = jax.linearize(lambda numbers: parts_at(numbers)[:2], values[:few])
-    weights_move = jax.vmap(push)(columns.weighing)[0]
-    weights_too, shapes_move = jax.vmap(push)(columns.shaping)
-    if columns.mixed:
-        shaping, shapes_move = eqx.combine(weighing, shaping), eqx.combine(weights_too, shapes_move)
+    inputs, first, groups = view_inputs(problem, view, values), 0, []
+    for group in columns.groups:
+        directions = columns.directions[first : first + group.directions]
+        groups.append(_changes(problem, view, values, group, directions))
+        first += group.directions
 
     def of_tile(tile: Tile) -> tuple[Array, Array]:
-        planes, stage = [], Stage(tile.index >= 0)
-        if columns.weighing.shape[0]:
-            residual, push = jax.linearize(lambda w: tile.residual(eqx.combine(w, shaping, fixed)), weighing)
-            planes.append(stage(lambda: jax.vmap(push, out_axes=1)(weights_move)))
-        if columns.shaping.shape[0]:
-            residual, push = jax.linearize(lambda s: tile.residual(eqx.combine(s, weighing, fixed)), shaping)
-            planes.append(stage(lambda: jax.vmap(push, out_axes=1)(shapes_move)))
-        if not planes:
-            residual = tile.residual(eqx.combine(weighing, shaping, fixed))
-            planes.append(jnp.zeros((3, 0, residual.shape[1]), residual.dtype))
-        return residual, jnp.concatenate(planes, axis=1)
+        residual, rows, stage = None, [], Stage(tile.index >= 0)
+        for moved, changes in groups:
+            residual, own = _rows(stage, tile, inputs, moved, changes)
+            rows.append(own)
+        if residual is None:
+            residual = tile.residual(inputs)
+        return residual, jnp.concatenate([*rows, residual[:, None]], axis=1)
 
     return of_tile
+
+
+def _changes(
+    problem: Problem,
+    view: ViewData,
+    values: Float[Array, " parameters"],
+    group: Group,
+    directions: Float[Array, "directions numbers"],
+) -> tuple[ViewInputs, ViewInputs]:
+    """Which of a view's inputs the group moves (leaves True or False), and how these change along its directions."""
+    few = problem.parameters.few
+
+    def inputs_at(numbers: Array) -> ViewInputs:
+        world = problem.at(values)
+        for place in group.leaves:
+            world = problem.parameters.leaves[place].put(world, jnp.concatenate([numbers, values[few:]]))
+        return _inputs_of(world, view)
+
+    moved = moved_leaves(inputs_at, values[:few])
+    push = jax.linearize(lambda numbers: eqx.filter(inputs_at(numbers), moved), values[:few])[1]
+    return moved, jax.vmap(push)(directions)
+
+
+def _rows(
+    stage: Stage, tile: Tile, inputs: ViewInputs, moved: ViewInputs, changes: ViewInputs
+) -> tuple[Float[Array, "3 samples"], Float[Array, "3 directions samples"]]:
+    """A tile's residuals, and their derivatives along these changes of what is moved."""
+    own, fixed = eqx.partition(inputs, moved)
+    residual, push = jax.linearize(lambda own: tile.residual(eqx.combine(own, fixed)), own)
+    return residual, stage(lambda: jax.vmap(push, out_axes=1)(changes), name="rows")
 
 
 def over_views(problem: Problem, of_view: Callable[[ViewData, Adder, Carry], Carry], zeros: tuple[Array, ...]) -> Any:

@@ -38,8 +38,8 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
 
         def of_tile(carry: Any, tile: Tile) -> tuple[Any, Any]:
             sums, tables = carry
-            residual, planes = derivatives(tile)
-            jacobian = problem.columns.jacobian(planes)
+            residual, given = derivatives(tile)
+            jacobian = problem.columns.jacobian(given[:, :-1])
             weight = reweight(*problem.rho, residual)
             heard = jnp.ones_like(residual) if weight is None else weight
             flat = (jacobian * heard).reshape(count, residual.size)
