@@ -19,8 +19,8 @@ SIZE = 24
 FREE = ["Material[body].*", "PointLight[key].location", "PointLight[key].attenuation"]
 
 
-def scene(dtype: Any, small: int = 0) -> Scene:
-    """Two materials under two lamps, and as many small ones close to the sphere as asked for."""
+def scene(dtype: Any, small: int = 0, every_kind: bool = False) -> Scene:
+    """Two materials under two lamps, and as many small ones close to the sphere, or two of the other kinds."""
     lamps = [key_light(attenuation=(0.9, 0.1, 0.05), ambient_intensity=0.3)]
     lamps += [nodes.PointLight(name="fill", location=(-3.0, 1.0, 2.0), intensity=0.4, color=(0.4, 0.6, 1.0))]
     places = 1.2 * sphere_points(SIZE)[0][:: SIZE**2 // (2 * small)][:small] if small else []
@@ -29,6 +29,20 @@ def scene(dtype: Any, small: int = 0) -> Scene:
         nodes.Shape(appearance=nodes.Appearance(material=one), geometry=nodes.Sphere())
         for one in (material(transparency=0.2), nodes.Material(name="other", diffuse_color=(0.2, 0.5, 0.4)))
     ]
+    if every_kind:
+        # The right spot reaches the second surface only.
+        spots = [
+            nodes.SpotLight(
+                name=name, location=(x, 1, 3), direction=(-x, -1, -3), beam_width=0.1, cut_off_angle=0.5, global_=x < 0
+            )
+            for name, x in (("left", -1.0), ("right", 1.0))
+        ]
+        suns = [
+            nodes.DirectionalLight(name=name, direction=(x, -0.5, -1.0), intensity=0.3, global_=True)
+            for name, x in (("west", 0.5), ("east", -0.5))
+        ]
+        lamps += [nodes.Transform(scale=(1.0, 1.5, 1.0), children=[spots[0]]), *suns]
+        shapes[1] = nodes.Group(children=[shapes[1], spots[1]])
     return Scene.from_nodes([*shapes, *lamps], dtype=dtype)
 
 
@@ -82,18 +96,27 @@ def problem(kind: str, dtype: Any) -> Problem:
     if kind == "a tie of a colour and an exponent":
         free = [Free(["Material[body].specular_color.g", "Material[body].shininess"], tied="all"), *FREE[1:]]
         free += ["PointLight[fill].color", "Material[body].diffuse_color"]
-    small = 0
+    small = 40 if "many lights" in kind else 0
     if kind == "many lights":
-        small = 40
         free = ["Material[body].*", Free("PointLight[*].intensity"), "PointLight[*].location"]
-    return make_problem(scene(dtype, small), views, free, **more)[0]
+    if kind == "one of many lights":
+        free = ["Material[body].shininess", "PointLight[key].*"]
+    if kind == "some lights of every kind":
+        free = ["Material[*].specular_color", "SpotLight[left].*", "SpotLight[right].intensity"]
+        free += ["DirectionalLight[east].direction"]
+    if kind == "a light of every kind":
+        free = ["SpotLight[right].*", "DirectionalLight[east].*", "PointLight[key].attenuation"]
+    if kind == "a light alone":
+        free = ["PointLight[fill].location"]
+    return make_problem(scene(dtype, small, "every kind" in kind), views, free, **more)[0]
 
 
 KINDS = [
     "plain", "weights and mask", "grey target", "background", "several samples a pixel",
     "several samples a pixel over a background", "sensor limits", "two views, one light each",
     "two views of different size", "huber", "cauchy", "prior", "ties",
-    "a tie of a colour and an exponent", "many lights",
+    "a tie of a colour and an exponent", "many lights", "one of many lights", "some lights of every kind",
+    "a light of every kind", "a light alone",
 ]  # fmt: skip
 
 
@@ -123,7 +146,7 @@ def test_streamed_sums_are_the_dense_ones(kind: str) -> None:
     with precision("float64") as dtype:
         made = problem(kind, dtype)
         values = made.parameters.start
-        (light_plan,) = {view.plan.point for view in made.views} if kind == "many lights" else (None,)
+        (light_plan,) = {view.plan.point for view in made.views} if "many lights" in kind else (None,)
         assert light_plan is None or light_plan.culled
         loss, gradient, curvature = dense(made, values)
         found = jax.jit(normal.normal_equations)(made, values)
@@ -132,6 +155,9 @@ def test_streamed_sums_are_the_dense_ones(kind: str) -> None:
         scale = np.sqrt(np.diagonal(curvature))
         np.testing.assert_allclose(found.curvature, curvature, rtol=0, atol=1e-11 * np.outer(scale, scale).max())
         np.testing.assert_allclose(found.gradient, gradient, rtol=0, atol=1e-11 * np.abs(gradient).max())
+        by_reverse = jax.jit(normal.loss_and_gradient)(made, values)
+        assert float(by_reverse[0]) == pytest.approx(loss, rel=1e-12)
+        np.testing.assert_allclose(by_reverse[1], gradient, rtol=0, atol=1e-11 * np.abs(gradient).max())
 
 
 @pytest.mark.parametrize("kind", ["plain", "several samples a pixel"])
@@ -167,7 +193,7 @@ def test_the_gradient_is_the_derivative_of_the_loss() -> None:
 @pytest.mark.parametrize(
     ("free", "directions"),
     [
-        (FREE, [4, 1, 1, 3, 3]),  # three colours and transparency, ambient, an exponent, an attenuation, a place
+        (FREE, [4, 2, 3, 3]),  # three colours and transparency; ambient and exponent; an attenuation; a place
         (["Material[*].diffuse_color"], [2]),
         ([Free("Material[*].diffuse_color", tied=True), "PointLight[key].color.b"], [1, 1]),
         ([Free("Material[body].diffuse_color", tied="all"), "View[0].exposure"], [2]),

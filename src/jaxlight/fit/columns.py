@@ -3,15 +3,16 @@
 One derivative along red, green and blue at once holds all three columns, a channel each (Curtis, Powell and Reid's
 compression). And what a number moves passes through part of the equation only, so that directions are taken in groups:
 
-    surfaces   colours of materials and fog, exposures: products with light that stays
+    surfaces   colours of surfaces and fog, exposures: products with light that stays
+    materials  exponents and ambient intensities of materials: factors of every light
     strengths  colours and strengths of lights: sums and products with factors of the geometry
-    exponents  of highlights: their powers
-    reach      attenuation, radii, cones, visibility: factors of distances and angles that stay
-    places     all else, places and directions: the whole equation
+    reach      attenuation, radii, cones: factors of distances and angles that stay
+    places     places and directions of lights: the whole equation
 
-Surfaces and strengths weigh, the others shape. Among those that weigh, some are linear together: all colours of
-materials, or the colours of lights, or their strengths, or the exposures, but no two of these, since they multiply each
-other.
+Light adds up: what moves some lights only is differentiated without the others.
+
+Some numbers are linear together: all colours of materials, or the colours of lights, or their strengths, or the
+exposures, but no two of these, since they multiply each other.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ from jaxtyping import Array, Float
 from .parameters import Parameters
 
 _COLORS = ("diffuse_color", "specular_color", "emissive_color", "color")
-_REACH = ("attenuation", "radius", "beam_width", "cut_off_angle", "visibility_range")
+_PLACES = ("location", "direction")
+_VECTORS = ("color", "attenuation", *_PLACES)
+"""Fields of lights with three numbers."""
 _ADDED = (("materials", "emissive_color"), ("fog", "color"))
 _LIGHTS = ("directional", "point", "spot")
 _TOGETHER: tuple[frozenset[tuple[str, str]], ...] = (
@@ -44,12 +47,16 @@ class Kind(IntEnum):
     """What a number moves."""
 
     SURFACES = 0
-    STRENGTHS = 1
-    EXPONENTS = 2
+    MATERIALS = 1
+    STRENGTHS = 2
     REACH = 3
     PLACES = 4
     SEVERAL = 5
     """Ties between numbers of several kinds."""
+
+
+Rows = tuple[tuple[int, ...], ...]
+"""Rows of directional, point and spot lights."""
 
 
 class Group(NamedTuple):
@@ -58,6 +65,10 @@ class Group(NamedTuple):
     directions: int
     leaves: tuple[int, ...]
     """Which of `Parameters.leaves` they move."""
+    lights: Rows
+    """Which lights they move."""
+    alone: bool
+    """Whether they move nothing else."""
 
 
 class Columns(eqx.Module):
@@ -75,6 +86,12 @@ class Columns(eqx.Module):
     def count(self) -> int:
         """Number of directions."""
         return self.own.shape[1]
+
+    @property
+    def lights(self) -> Rows:
+        """The lights that some direction moves."""
+        kinds = range(len(_LIGHTS))
+        return tuple(tuple(sorted({row for group in self.groups for row in group.lights[kind]})) for kind in kinds)
 
     def linear(self) -> Columns:
         """The directions that are linear together."""
@@ -107,24 +124,24 @@ class Columns(eqx.Module):
 def columns_of(parameters: Parameters, dtype: Any) -> Columns:
     """The directions for these parameters (texels of blocks are none of them)."""
     sets: list[list[tuple[Any, int]]] = [[] for _ in range(parameters.few)]
-    places: list[set[int]] = [set() for _ in sets]
-    for place, part in enumerate(parameters.leaves):
+    for part in parameters.leaves:
         for element, number in zip(np.asarray(part.elements).tolist(), np.asarray(part.sources).tolist(), strict=True):
             sets[number].append((part.leaf, element))
-            places[number].add(place)
     together = _most_together(sets)
-    # Of each direction: by channel the numbers that it moves; where it comes in the order; which leaves it moves.
+    # Of each direction: by channel the numbers that it moves; where it comes in the order; the elements that it moves.
     columns: dict[Any, dict[int, int]] = {}
     order: dict[Any, tuple[bool, Kind]] = {}
-    moved: dict[Any, set[int]] = {}
+    moved: dict[Any, set[tuple[Any, int]]] = {}
     for number, elements in enumerate(sets):
         channel = _channel(elements)
         key: Any = number if channel is None else tuple((leaf, element // 3) for leaf, element in elements)
         columns.setdefault(key, {})[-1 if channel is None else channel] = number
-        moved.setdefault(key, set()).update(places[number])
+        moved.setdefault(key, set()).update(elements)
         kinds = {_kind(leaf) for leaf, _ in elements}
         order[key] = (number not in together, kinds.pop() if len(kinds) == 1 else Kind.SEVERAL)
-    keys = sorted(columns, key=lambda key: order[key])
+    first = {kind for later, kind in order.values() if not later}
+    # Of the others those first that are of the same kind: they are one group then.
+    keys = sorted(columns, key=lambda key: (order[key][0], order[key][1] not in first, order[key][1]))
     directions, own = np.zeros((len(keys), len(sets))), np.zeros((3, len(keys), len(sets)))
     for row, key in enumerate(keys):
         for channel, number in columns[key].items():
@@ -134,7 +151,7 @@ def columns_of(parameters: Parameters, dtype: Any) -> Columns:
     return Columns(
         jnp.asarray(directions, dtype),
         jnp.asarray(own, dtype),
-        tuple(Group(len(group), tuple(sorted(set().union(*(moved[key] for key in group))))) for group in groups),
+        tuple(_group(parameters, len(group), set().union(*(moved[key] for key in group))) for group in groups),
         sum(not later for later, _ in order.values()),
     )
 
@@ -147,15 +164,25 @@ def _most_together(sets: list[list[tuple[Any, int]]]) -> set[int]:
 
 
 def _kind(leaf: Any) -> Kind:
-    if leaf is None or leaf.field == "transparency":
-        return Kind.SURFACES
-    if leaf.field in _COLORS:
-        return Kind.STRENGTHS if leaf.attribute in _LIGHTS else Kind.SURFACES
-    if leaf.field in ("intensity", "ambient_intensity"):
-        return Kind.STRENGTHS
-    if leaf.field == "shininess":
-        return Kind.EXPONENTS
-    return Kind.REACH if leaf.field in _REACH else Kind.PLACES
+    if leaf is not None and leaf.attribute in _LIGHTS:
+        if leaf.field in ("color", "intensity", "ambient_intensity"):
+            return Kind.STRENGTHS
+        return Kind.PLACES if leaf.field in _PLACES else Kind.REACH
+    return Kind.MATERIALS if leaf is not None and leaf.field in ("shininess", "ambient_intensity") else Kind.SURFACES
+
+
+def _group(parameters: Parameters, directions: int, elements: set[tuple[Any, int]]) -> Group:
+    """The group of so many directions that move these elements of leaves."""
+    owners = {leaf for leaf, _ in elements}
+    leaves = tuple(place for place, part in enumerate(parameters.leaves) if part.leaf in owners)
+    rows: dict[str, set[int]] = {attribute: set() for attribute in _LIGHTS}
+    alone = True
+    for leaf, element in elements:
+        if leaf is None or leaf.attribute not in _LIGHTS:
+            alone = False
+        else:
+            rows[leaf.attribute].add(element // 3 if leaf.field in _VECTORS else element)
+    return Group(directions, leaves, tuple(tuple(sorted(rows[attribute])) for attribute in _LIGHTS), alone)
 
 
 def _channel(elements: list[tuple[Any, int]]) -> int | None:

@@ -21,23 +21,21 @@ from ..lighting.tiles import Share, tiles_at_once
 from ..raster.samples import LANES
 from .columns import Columns
 from .curvature import DenseCurvature, NormalEquations
-from .moved import moved_leaves
 from .parameters import World
 from .problem import Problem, scene_of_view
 from .residuals import half_losses, reweight, view_colors, weighted_difference
 from .streaming import (
     Adder,
     Tile,
-    ViewInputs,
     add_terms,
     added_up,
-    derivatives_by_tile,
     over_tiles,
     over_views,
     sum_over_tiles,
     view_inputs,
 )
 from .texels import neighbour_loss, texel_equations
+from .tile_derivatives import derivatives_by_tile, parts_of
 from .views import ViewData
 
 
@@ -72,26 +70,32 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
         if view.pixel is not None:
             return add(carry, pulled(lambda v: view_residual(problem, problem.at(v), view), values))
 
-        def inputs_at(values: Array) -> ViewInputs:
-            return view_inputs(problem, view, values)
-
-        moved = moved_leaves(inputs_at, values)
-        moving, pull, fixed = jax.vjp(lambda v: eqx.partition(inputs_at(v), moved), values, has_aux=True)
-        leaves, tree = jax.tree.flatten(moving)
+        parts = parts_of(problem, view, values)
 
         def of_tile(carry: Any, tile: Tile) -> Any:
-            value, slopes = pulled(lambda leaves: tile.residual(eqx.combine(tree.unflatten(leaves), fixed)), leaves)
-            return add_terms(carry, (value, *slopes))
+            colors, pulls = zip(*(part.color_and_pull(tile) for part in parts), strict=True)
+            residual, pull_both = jax.vjp(tile.residual_of, parts[0].inputs.exposure, colors[0])
+            exposure, color = pull_both(heard(residual))
+            slopes = [pull(color) for pull in pulls]
+            if parts[0].moving.exposure is not None:
+                slopes[0] = eqx.tree_at(lambda inputs: inputs.exposure, slopes[0], exposure)
+            return add_terms(carry, (half_losses(*problem.rho, residual), *jax.tree.leaves(slopes)))
 
+        moving = [part.moving for part in parts]
+        leaves, tree = jax.tree.flatten(moving)
         zeros = (jnp.zeros(LANES, values.dtype), *map(jnp.zeros_like, leaves))
         value, *slopes = added_up(_over_all(problem, view, of_tile, (zeros, jax.tree.map(jnp.zeros_like, zeros))))
-        return add(carry, (value, *pull(tree.unflatten(slopes))))
+        gradients = [part.pull(slope) for part, slope in zip(parts, tree.unflatten(slopes), strict=True)]
+        return add(carry, (value, sum(gradients[1:], gradients[0])))
 
     def pulled(residual_at: Callable[[Any], Array], at: Any) -> tuple[Array, Any]:
         """The loss, by lanes, and its gradient."""
         residual, pull = jax.vjp(residual_at, at)
+        return half_losses(*problem.rho, residual), pull(heard(residual))[0]
+
+    def heard(residual: Array) -> Array:
         weight = reweight(*problem.rho, residual)
-        return half_losses(*problem.rho, residual), pull(residual if weight is None else weight * residual)[0]
+        return residual if weight is None else weight * residual
 
     total, gradient = over_views(problem, of_view, (jnp.zeros(LANES, values.dtype), jnp.zeros_like(values)))
     prior, prior_gradient = jax.value_and_grad(lambda v: _prior_loss(problem, v))(values)

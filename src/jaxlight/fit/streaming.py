@@ -15,12 +15,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..lighting.one_tile import Color, Run, tile_color, tile_of
+from ..lighting.plan import Plan
 from ..lighting.prepared import Prepared, prepare
 from ..lighting.stages import Stage
 from ..lighting.tiles import Share, surface_runs
 from ..lighting.unstored import Inlined, stored
-from .columns import Columns, Group
-from .moved import moved_leaves
 from .parameters import World
 from .part import tiles_of_part
 from .problem import Problem, scene_of_view
@@ -42,13 +41,19 @@ class ViewInputs(eqx.Module):
 class Tile(NamedTuple):
     """One tile of a view."""
 
-    residual: Callable[[ViewInputs], Float[Array, "3 samples"]]
-    """The weighted residuals as a function of the view's inputs."""
+    color: Callable[[ViewInputs, Plan], Color]
+    """The colours as a function of the inputs, as far as a plan computes them."""
+    residual_of: Callable[[Float[Array, ""], Color], Float[Array, "3 samples"]]
+    """The weighted residuals as a function of exposure and colours."""
     run: Run
     index: Int[Array, ""]
     view: ViewData
     size: int
     """Samples; several of the buffer's tiles may be one here."""
+
+    def residual(self, inputs: ViewInputs) -> Float[Array, "3 samples"]:
+        """The weighted residuals as a function of the view's inputs."""
+        return self.residual_of(inputs.exposure, self.color(inputs, self.view.plan))
 
     def cut(self, planes: Array) -> Array:
         """The tile's columns of planes [..., slots]."""
@@ -57,11 +62,12 @@ class Tile(NamedTuple):
 
 def view_inputs(problem: Problem, view: ViewData, values: Float[Array, " parameters"]) -> ViewInputs:
     """The inputs of a view's tiles at these values."""
-    return _inputs_of(problem.at(values), view)
+    return inputs_of(problem.at(values), view, view.plan)
 
 
-def _inputs_of(world: World, view: ViewData) -> ViewInputs:
-    return ViewInputs(prepare(scene_of_view(world, view), view.samples, view.plan), world.exposure[view.row])
+def inputs_of(world: World, view: ViewData, plan: Plan) -> ViewInputs:
+    """The inputs of a view's tiles, as far as a plan needs them."""
+    return ViewInputs(prepare(scene_of_view(world, view), view.samples, plan), world.exposure[view.row])
 
 
 def with_textures(inputs: ViewInputs, images: tuple[Array, ...]) -> ViewInputs:
@@ -71,66 +77,6 @@ def with_textures(inputs: ViewInputs, images: tuple[Array, ...]) -> ViewInputs:
 
 def _textures(inputs: ViewInputs) -> Any:
     return inputs.prepared.textures
-
-
-def _is_none(leaf: Any) -> bool:
-    return leaf is None
-
-
-def derivatives_by_tile(
-    problem: Problem, view: ViewData, values: Float[Array, " parameters"], columns: Columns
-) -> Callable[[Tile], tuple[Array, Array]]:
-    """A function of a tile: its residuals [3, samples], and the rows [3, directions + 1, samples] of their derivatives,
-    see `columns`, with the residuals as the last.
-
-    The scene is linearised once a view, the tiles with respect to what a group of directions moves.
-    """
-    inputs, first, groups = view_inputs(problem, view, values), 0, []
-    for group in columns.groups:
-        directions = columns.directions[first : first + group.directions]
-        groups.append(_changes(problem, view, values, group, directions))
-        first += group.directions
-
-    def of_tile(tile: Tile) -> tuple[Array, Array]:
-        residual, rows, stage = None, [], Stage(tile.index >= 0)
-        for moved, changes in groups:
-            residual, own = _rows(stage, tile, inputs, moved, changes)
-            rows.append(own)
-        if residual is None:
-            residual = tile.residual(inputs)
-        return residual, jnp.concatenate([*rows, residual[:, None]], axis=1)
-
-    return of_tile
-
-
-def _changes(
-    problem: Problem,
-    view: ViewData,
-    values: Float[Array, " parameters"],
-    group: Group,
-    directions: Float[Array, "directions numbers"],
-) -> tuple[ViewInputs, ViewInputs]:
-    """Which of a view's inputs the group moves (leaves True or False), and how these change along its directions."""
-    few = problem.parameters.few
-
-    def inputs_at(numbers: Array) -> ViewInputs:
-        world = problem.at(values)
-        for place in group.leaves:
-            world = problem.parameters.leaves[place].put(world, jnp.concatenate([numbers, values[few:]]))
-        return _inputs_of(world, view)
-
-    moved = moved_leaves(inputs_at, values[:few])
-    push = jax.linearize(lambda numbers: eqx.filter(inputs_at(numbers), moved), values[:few])[1]
-    return moved, jax.vmap(push)(directions)
-
-
-def _rows(
-    stage: Stage, tile: Tile, inputs: ViewInputs, moved: ViewInputs, changes: ViewInputs
-) -> tuple[Float[Array, "3 samples"], Float[Array, "3 directions samples"]]:
-    """A tile's residuals, and their derivatives along these changes of what is moved."""
-    own, fixed = eqx.partition(inputs, moved)
-    residual, push = jax.linearize(lambda own: tile.residual(eqx.combine(own, fixed)), own)
-    return residual, stage(lambda: jax.vmap(push, out_axes=1)(changes), name="rows")
 
 
 def over_views(problem: Problem, of_view: Callable[[ViewData, Adder, Carry], Carry], zeros: tuple[Array, ...]) -> Any:
@@ -206,15 +152,16 @@ def _tile(view: ViewData, run: Run, index: Array, forward: bool, together: int =
     def cut(plane: Array) -> Array:
         return cast(Array, Inlined(partial(tile_of, tile=size), (plane, index)))
 
-    def residual(inputs: ViewInputs) -> Array:
-        color = tile_color(run, inputs.prepared, view.samples, view.plan, index, together, forward=forward)
+    def color_of(inputs: ViewInputs, plan: Plan) -> Color:
+        return tile_color(run, inputs.prepared, view.samples, plan, index, together, forward=forward)
+
+    def residual_of(exposure: Array, color: Color) -> Array:
         background = None if view.background is None else cut(view.background)
-        measured = (cut(view.target), cut(view.root_weight), view.dark, view.saturated)
-        operands = (inputs.exposure, color, background, *measured)
+        operands = (exposure, color, background, cut(view.target), cut(view.root_weight), view.dark, view.saturated)
         # Derivatives in forward mode move many planes at once: they are not worth a stage of their own.
         return _residual(*stored(operands)) if forward else Stage(index >= 0).each(_residual, *operands)
 
-    return Tile(residual, run, index, view, size)
+    return Tile(color_of, residual_of, run, index, view, size)
 
 
 def _residual(

@@ -19,7 +19,8 @@ from .parameters import TexelBlock
 from .problem import Problem
 from .residuals import half_losses, reweight
 from .sampling import block_of
-from .streaming import Tile, add_terms, added_up, derivatives_by_tile, over_tiles, view_inputs, with_textures
+from .streaming import Tile, add_terms, added_up, over_tiles, view_inputs, with_textures
+from .tile_derivatives import derivatives_by_tile
 from .views import ViewData
 
 _EDGE = 1e-2

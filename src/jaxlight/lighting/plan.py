@@ -69,6 +69,35 @@ class Plan(NamedTuple):
         return any(lights is not None and lights.culled for lights in self.lights)
 
 
+def plan_of_lights(plan: Plan, rows: tuple[tuple[int, ...], ...], counts: tuple[int, ...]) -> Plan:
+    """The plan for some lights alone: since light adds up, derivatives by their fields need no others.
+
+    Args:
+        plan: for all lights.
+        rows: which directional, point and spot lights.
+        counts: how many there are of each kind in the scene.
+    """
+    own = [_of_rows(*kind) for kind in zip(plan.lights, rows, counts, strict=True)]
+    return plan._replace(directional=own[0], point=own[1], spot=own[2], emissive=False)
+
+
+def number_of_lights(plan: Plan, counts: tuple[int, ...]) -> int:
+    """How many lights a plan evaluates, of so many of each kind."""
+    kinds = zip(plan.lights, counts, strict=True)
+    return sum(count if own.rows is None else len(own.rows) for own, count in kinds if own is not None)
+
+
+def _of_rows(plan: LightPlan | None, rows: tuple[int, ...], count: int) -> LightPlan | None:
+    if plan is None:
+        return None
+    present = tuple(range(count)) if plan.rows is None else plan.rows
+    kept = tuple(row for row in present if row in rows)
+    if not kept:
+        return None
+    headlight, culled = plan.headlight and present[-1] in rows, plan.culled and len(kept) >= MANY_LIGHTS
+    return plan._replace(rows=kept, headlight=headlight, culled=culled)
+
+
 class _Known:
     """The values of leaves that are known and not free; None for the others."""
 

@@ -1,0 +1,174 @@
+"""Derivatives of the residuals of a tile by the free numbers, and by nothing else.
+
+The scene is differentiated once a view, the tiles by what of a view's inputs the numbers move. Light adds up, so that
+what moves some of the lights only is differentiated without the others.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..lighting.one_tile import Color
+from ..lighting.plan import Plan, number_of_lights, plan_of_lights
+from ..lighting.stages import Stage
+from .columns import Columns, Group, Rows
+from .moved import moved_leaves
+from .problem import Problem
+from .streaming import Tile, ViewInputs, inputs_of
+from .views import ViewData
+
+
+class GradientPart(NamedTuple):
+    """What a gradient differentiates together: all lights and the rest, or some of the lights."""
+
+    plan: Plan
+    inputs: ViewInputs
+    """Of the plan."""
+    moving: ViewInputs
+    """Those of the inputs that follow from the numbers; None elsewhere."""
+    pull: Callable[[ViewInputs], Float[Array, " parameters"]]
+    """From the gradient by these to that by the numbers."""
+
+    def color_and_pull(self, tile: Tile) -> tuple[Color, Callable[[Color], ViewInputs]]:
+        """The colours of a tile, and from their cotangents those of what moves."""
+        color, pull = jax.vjp(lambda moving: tile.color(eqx.combine(moving, self.inputs), self.plan), self.moving)
+        return color, lambda cotangent: pull(cotangent)[0]
+
+
+def parts_of(problem: Problem, view: ViewData, values: Float[Array, " parameters"]) -> list[GradientPart]:
+    """The parts of a gradient at these values; of the first, the plan is that of the view.
+
+    Of lights that are few of the view's a part of their own: light adds up, and the others need no derivatives.
+    """
+
+    def part(plan: Plan, *, lights: bool, others: bool) -> GradientPart:
+        def inputs_at(values: Array) -> ViewInputs:
+            return inputs_of(problem.at(values), view, plan)
+
+        which = _moved_of(moved_leaves(inputs_at, values), lights, others)
+        moving, pull = jax.vjp(lambda values: eqx.filter(inputs_at(values), which), values)
+        return GradientPart(plan, inputs_at(values), moving, lambda slope: pull(slope)[0])
+
+    plan = _plan_of_moved(problem, view, problem.columns.lights)
+    if plan == view.plan:
+        return [part(plan, lights=True, others=True)]
+    return [part(view.plan, lights=False, others=True), part(plan, lights=True, others=False)]
+
+
+def _moved_of(which: ViewInputs, lights: bool, others: bool) -> ViewInputs:
+    """Of the leaves that are moved (True) those of lights, of all else, or both."""
+    kinds = ("directional", "point", "spot")
+    own = {kind: jax.tree.map(lambda moved: moved and lights, getattr(which.prepared, kind)) for kind in kinds}
+    rest = jax.tree.map(lambda moved: moved and others, which)
+    return dataclasses.replace(rest, prepared=dataclasses.replace(rest.prepared, **own))
+
+
+class GroupChanges(NamedTuple):
+    """What a group of directions moves."""
+
+    plan: Plan
+    """What its derivatives need."""
+    inputs: ViewInputs
+    """Of the plan."""
+    which: ViewInputs
+    """Leaves True where they are moved."""
+    changes: ViewInputs
+    """The moved leaves' changes along the group's directions."""
+    directions: int
+    """Of the group."""
+
+
+def derivatives_by_tile(
+    problem: Problem, view: ViewData, values: Float[Array, " parameters"], columns: Columns
+) -> Callable[[Tile], tuple[Array, Array]]:
+    """A function of a tile: its residuals [3, samples], and the rows [3, directions + 1, samples] of their derivatives,
+    see `columns`, with the residuals as the last.
+
+    The scene is linearised once a view, the tiles with respect to what a group of directions moves.
+    """
+    plans = [_plan_of_moved(problem, view, group.lights) if group.alone else view.plan for group in columns.groups]
+    # Shared by groups of one plan, or XLA would not see that their tiles are the same.
+    inputs = {plan: inputs_of(problem.at(values), view, plan) for plan in dict.fromkeys([view.plan, *plans])}
+    ends = np.cumsum([group.directions for group in columns.groups]).tolist()
+    groups = [
+        _changes(problem, view, values, group, plan, inputs[plan], columns.directions[end - group.directions : end])
+        for group, plan, end in zip(columns.groups, plans, ends, strict=True)
+    ]
+
+    def of_tile(tile: Tile) -> tuple[Array, Array]:
+        stage, pushes, color = Stage(tile.index >= 0), [], None
+        for moved in groups:
+            own, push = _color_and_push(tile, moved)
+            pushes.append(push)
+            color = own if moved.plan == view.plan else color
+        if color is None:  # only some of the lights are differentiated
+            color = tile.color(inputs[view.plan], view.plan)
+        exposure = inputs[view.plan].exposure
+        residual = tile.residual_of(exposure, color)
+        rows = [_rows(stage, tile, exposure, color, moved, push) for moved, push in zip(groups, pushes, strict=True)]
+        return residual, jnp.concatenate([*rows, residual[:, None]], axis=1)
+
+    return of_tile
+
+
+def _changes(
+    problem: Problem,
+    view: ViewData,
+    values: Float[Array, " parameters"],
+    group: Group,
+    plan: Plan,
+    inputs: ViewInputs,
+    directions: Float[Array, "directions numbers"],
+) -> GroupChanges:
+    few = problem.parameters.few
+
+    def inputs_at(numbers: Array) -> ViewInputs:
+        world = problem.at(values)
+        for place in group.leaves:
+            world = problem.parameters.leaves[place].put(world, jnp.concatenate([numbers, values[few:]]))
+        return inputs_of(world, view, plan)
+
+    which = moved_leaves(inputs_at, values[:few])
+    push = jax.linearize(lambda numbers: eqx.filter(inputs_at(numbers), which), values[:few])[1]
+    return GroupChanges(plan, inputs, which, jax.vmap(push)(directions), group.directions)
+
+
+def _color_and_push(tile: Tile, moved: GroupChanges) -> tuple[Color, Callable[[ViewInputs], Color]]:
+    """A tile's colours by the group's plan, and how they change with what it moves."""
+    own, fixed = eqx.partition(moved.inputs, moved.which)
+    return jax.linearize(lambda own: tile.color(eqx.combine(own, fixed), moved.plan), own)
+
+
+def _rows(
+    stage: Stage, tile: Tile, exposure: Array, color: Color, moved: GroupChanges, push: Callable[[ViewInputs], Color]
+) -> Float[Array, "3 directions samples"]:
+    """The residuals' derivatives along the directions of a group."""
+    if not any(jax.tree.leaves(moved.which)):  # lights that this view does not show
+        return jnp.zeros((3, moved.directions, tile.size), color.rgb.dtype)
+    if moved.which.exposure:
+        by_both = jax.linearize(tile.residual_of, exposure, color)[1]
+        return stage(lambda: jax.vmap(lambda c: by_both(c.exposure, push(c)), out_axes=1)(moved.changes), name="rows")
+    by_color = jax.linearize(lambda color: tile.residual_of(exposure, color), color)[1]
+    return stage(lambda: jax.vmap(lambda c: by_color(push(c)), out_axes=1)(moved.changes), name="rows")
+
+
+def _plan_of_moved(problem: Problem, view: ViewData, rows: Rows) -> Plan:
+    """What derivatives of a view's colours by fields of these lights need.
+
+    Less than the view's plan only if it saves half of the lights or more, for they are evaluated once more.
+    """
+    if any(chosen is not None for chosen in view.lights):
+        return view.plan
+    scene = problem.world.scene
+    kinds = (scene.directional, scene.point, scene.spot)
+    counts = tuple(0 if lights is None else len(lights.names) for lights in kinds)
+    plan = plan_of_lights(view.plan, rows, counts)
+    return plan if 2 * number_of_lights(plan, counts) <= number_of_lights(view.plan, counts) else view.plan
