@@ -99,6 +99,10 @@ class Plan:
     check: bool = True
 
 
+_ONE_ARENA = {"MALLOC_ARENA_MAX": "1"}
+"""glibc gives memory of other arenas back to no `malloc_trim`: what is kept there a call could use again, unseen."""
+
+
 class Worker:
     """A contender's process."""
 
@@ -107,7 +111,7 @@ class Worker:
         self._log = tempfile.TemporaryFile("w+")  # noqa: SIM115  # closed with the process
         settings = {"entrant": dataclasses.asdict(entrant), "cores": list(plan.cores)}
         threads = {name: str(len(plan.cores)) for name in _THREADS} if plan.cores else {}
-        environment = {**os.environ, **threads, **dict(entrant.environment)}
+        environment = {**os.environ, **threads, **_ONE_ARENA, **dict(entrant.environment)}
         self._process = subprocess.Popen(
             [sys.executable, "-m", "benchmarks.worker", json.dumps(settings)],
             cwd=_ROOT,

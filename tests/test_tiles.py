@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fit_scenes import precision
-from jaxlight import Scene, nodes
+from jaxlight import Scene, compiler_options, nodes
 from jaxlight.fit import View
 from jaxlight.fit.normal import loss_and_gradient
 from jaxlight.fit.problem import make_problem
@@ -141,3 +141,21 @@ def test_gradients_of_a_loss_of_colors_alone_keep_no_image_with_alpha() -> None:
 
     assert re.search(image, program(colors))
     assert not re.search(image, program(gradient))
+
+
+@pytest.mark.parametrize("lights", [1, 4])
+def test_the_gradient_of_a_loss_of_an_image_takes_at_most_as_much_memory_as_its_inputs(lights: int) -> None:
+    count = 2**18
+    points = np.random.default_rng(7).normal(size=(count, 3))
+    samples = SampleBuffer.create(points, np.ones((count, 3)), [0, 0, 6])
+    free, fixed = eqx.partition(scene_with_lights(lights), eqx.is_inexact_array)
+    target = jnp.zeros((count // samples.tile, 3, samples.tile))
+
+    def loss(free: Scene, samples: SampleBuffer, target: jax.Array) -> jax.Array:
+        return jnp.sum((shade_tiles(eqx.combine(free, fixed), samples)[:, :3] - target) ** 2)
+
+    gradient = jax.jit(jax.grad(loss), compiler_options=compiler_options())
+    memory = gradient.lower(free, samples, target).compile().memory_analysis()
+    assert memory is not None
+    assert target.nbytes < memory.temp_size_in_bytes < memory.argument_size_in_bytes
+    assert memory.argument_size_in_bytes < 1.1 * (target.nbytes + 24 * count)
