@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..scene.paths import LIGHT_ATTRIBUTES
 from .parameters import Parameters
 
 _COLORS = ("diffuse_color", "specular_color", "emissive_color", "color")
@@ -33,11 +34,10 @@ _PLACES = ("location", "direction")
 _VECTORS = ("color", "attenuation", *_PLACES)
 """Fields of lights with three numbers."""
 _ADDED = (("materials", "emissive_color"), ("fog", "color"))
-_LIGHTS = ("directional", "point", "spot")
 _TOGETHER: tuple[frozenset[tuple[str, str]], ...] = (
     frozenset([("materials", "diffuse_color"), ("materials", "specular_color"), *_ADDED]),
-    frozenset([*((kind, "color") for kind in _LIGHTS), *_ADDED]),
-    frozenset([*((kind, field) for kind in _LIGHTS for field in ("intensity", "ambient_intensity")), *_ADDED]),
+    frozenset([*((kind, "color") for kind in LIGHT_ATTRIBUTES), *_ADDED]),
+    frozenset([*((kind, field) for kind in LIGHT_ATTRIBUTES for field in ("intensity", "ambient_intensity")), *_ADDED]),
     frozenset([("views", "exposure")]),
 )
 """Fields in which the equation is linear as long as all others are fixed."""
@@ -90,7 +90,7 @@ class Columns(eqx.Module):
     @property
     def lights(self) -> Rows:
         """The lights that some direction moves."""
-        kinds = range(len(_LIGHTS))
+        kinds = range(len(LIGHT_ATTRIBUTES))
         return tuple(tuple(sorted({row for group in self.groups for row in group.lights[kind]})) for kind in kinds)
 
     def linear(self) -> Columns:
@@ -164,7 +164,7 @@ def _most_together(sets: list[list[tuple[Any, int]]]) -> set[int]:
 
 
 def _kind(leaf: Any) -> Kind:
-    if leaf is not None and leaf.attribute in _LIGHTS:
+    if leaf is not None and leaf.attribute in LIGHT_ATTRIBUTES:
         if leaf.field in ("color", "intensity", "ambient_intensity"):
             return Kind.STRENGTHS
         return Kind.PLACES if leaf.field in _PLACES else Kind.REACH
@@ -175,14 +175,14 @@ def _group(parameters: Parameters, directions: int, elements: set[tuple[Any, int
     """The group of so many directions that move these elements of leaves."""
     owners = {leaf for leaf, _ in elements}
     leaves = tuple(place for place, part in enumerate(parameters.leaves) if part.leaf in owners)
-    rows: dict[str, set[int]] = {attribute: set() for attribute in _LIGHTS}
+    rows: dict[str, set[int]] = {attribute: set() for attribute in LIGHT_ATTRIBUTES}
     alone = True
     for leaf, element in elements:
-        if leaf is None or leaf.attribute not in _LIGHTS:
+        if leaf is None or leaf.attribute not in LIGHT_ATTRIBUTES:
             alone = False
         else:
             rows[leaf.attribute].add(element // 3 if leaf.field in _VECTORS else element)
-    return Group(directions, leaves, tuple(tuple(sorted(rows[attribute])) for attribute in _LIGHTS), alone)
+    return Group(directions, leaves, tuple(tuple(sorted(rows[attribute])) for attribute in LIGHT_ATTRIBUTES), alone)
 
 
 def _channel(elements: list[tuple[Any, int]]) -> int | None:

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 from ..lighting.one_tile import Color
 from ..lighting.plan import Plan, number_of_lights, plan_of_lights
 from ..lighting.stages import Stage
+from ..scene.paths import LIGHT_ATTRIBUTES
 from .columns import Columns, Group, Rows
 from .moved import moved_leaves
 from .problem import Problem
@@ -65,8 +66,8 @@ def parts_of(problem: Problem, view: ViewData, values: Float[Array, " parameters
 
 def _moved_of(which: ViewInputs, lights: bool, others: bool) -> ViewInputs:
     """Of the leaves that are moved (True) those of lights, of all else, or both."""
-    kinds = ("directional", "point", "spot")
-    own = {kind: jax.tree.map(lambda moved: moved and lights, getattr(which.prepared, kind)) for kind in kinds}
+    of_lights = {kind: getattr(which.prepared, kind) for kind in LIGHT_ATTRIBUTES}
+    own = jax.tree.map(lambda moved: moved and lights, of_lights)
     rest = jax.tree.map(lambda moved: moved and others, which)
     return dataclasses.replace(rest, prepared=dataclasses.replace(rest.prepared, **own))
 
@@ -167,8 +168,7 @@ def _plan_of_moved(problem: Problem, view: ViewData, rows: Rows) -> Plan:
     """
     if any(chosen is not None for chosen in view.lights):
         return view.plan
-    scene = problem.world.scene
-    kinds = (scene.directional, scene.point, scene.spot)
+    kinds = [getattr(problem.world.scene, kind) for kind in LIGHT_ATTRIBUTES]
     counts = tuple(0 if lights is None else len(lights.names) for lights in kinds)
     plan = plan_of_lights(view.plan, rows, counts)
     return plan if 2 * number_of_lights(plan, counts) <= number_of_lights(view.plan, counts) else view.plan
