@@ -133,33 +133,31 @@ def _branches(equation: Any) -> list[Any]:
     return list(jaxprs_in_params(equation.params))
 
 
-def test_derivatives_do_with_less_where_what_is_shared_is_needed_nowhere(inputs: Any) -> None:
-    """What stands in for less has a slope of its own, to show which of the two was taken; mapped over, all take one."""
+@pytest.mark.parametrize("of_numbers", [False, True], ids=["planes", "one loop"])
+def test_of_two_forms_that_is_evaluated_and_differentiated_that_is_asked_for(inputs: Any, of_numbers: bool) -> None:
+    """The forms have values and slopes of their own, to show which was taken; what is shared has two forms as well."""
 
-    def staged(limit: jax.Array, plane: jax.Array) -> jax.Array:
-        def shared(result: jax.Array, plane: jax.Array) -> tuple[jax.Array, jax.Array]:
-            return 2 * plane, jnp.where(plane > plane[0, 0] + 1, plane, 0.0)
+    def shared(result: jax.Array, plane: jax.Array, number: jax.Array, *, ordinary: bool) -> jax.Array:
+        return jnp.full_like(plane, 7.0) if ordinary else 2 * plane
 
-        def less(planes: tuple[jax.Array, jax.Array]) -> Any:
-            return planes[1], (jnp.full_like(planes[0], 7.0), None)
+    def function(plane: jax.Array, number: jax.Array, slope: Any = None, *, ordinary: bool) -> jax.Array:
+        value = plane if ordinary else plane * plane
+        return number * (value if slope is None else slope * plane)
 
-        def square(plane: jax.Array, planes: Any = None) -> jax.Array:
-            return plane * plane if planes is None else planes[0] * plane
-
-        return Stage(limit >= 0).each(square, plane, shared=shared, less=less)
-
-    def slope(plane: jax.Array) -> jax.Array:
-        return jax.grad(lambda plane: jnp.sum(staged(jnp.asarray(1), plane)))(plane)
+    def staged(ordinary: jax.Array, plane: jax.Array, number: jax.Array) -> jax.Array:
+        stage = Stage(number[0, 0] > 0, ordinary)
+        return stage.each(function, plane, number, shared=shared, has_forms=True, of_numbers=of_numbers)
 
     with jax.enable_x64(True):
-        low = jnp.ones((ROWS, LANES))
-        high = low.at[2, 3].set(5.0)
-        np.testing.assert_allclose(jax.jit(slope)(low), 7.0)
-        np.testing.assert_allclose(jax.jit(slope)(high), 2 * high)
-        np.testing.assert_allclose(jax.jvp(partial(staged, jnp.asarray(1)), (high,), (low,))[1], 2 * high)
-        mapped = jax.jit(jax.vmap(slope))
-        np.testing.assert_allclose(mapped(jnp.stack([low, low])), 7.0)
-        np.testing.assert_allclose(mapped(jnp.stack([low, high])), 2 * jnp.stack([low, high]))
+        plane, number, _ = inputs
+        for ordinary, value, slope in ((True, plane, jnp.full_like(plane, 7.0)), (False, plane**2, 2 * plane)):
+            pair = jax.jit(partial(staged, jnp.asarray(ordinary)))
+            np.testing.assert_allclose(pair(plane, number), number * value)
+            direction = (jnp.ones_like(plane), jnp.zeros_like(number))
+            np.testing.assert_allclose(jax.jvp(pair, (plane, number), direction)[1], number * slope)
+            by_plane, by_number = jax.vjp(pair, plane, number)[1](jnp.ones_like(plane))
+            np.testing.assert_allclose(by_plane, number * slope)
+            np.testing.assert_allclose(by_number[0], jnp.sum(slope * plane, axis=0))
 
 
 def test_a_linear_stage_is_transposed_twice(inputs: Any) -> None:

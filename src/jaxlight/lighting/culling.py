@@ -9,8 +9,10 @@ Who reaches whom is kept as one bit a light: numbers are packed, counted and sea
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial, reduce
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
@@ -18,9 +20,10 @@ from jax.experimental.layout import Layout, with_layout_constraint
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .elementary import arctangent
+from .ordinary import for_all_mapped, ordinary_lights
 from .stages import Stage
-from .terms import Extent, Received
-from .vectors import Vector, cross, dot, squares_in_range
+from .terms import Received
+from .vectors import Vector, cross, dot
 from .world import WorldLights
 
 BATCH = 128
@@ -32,11 +35,22 @@ CHUNK = 6
 WORD = 32
 """Bits of a number. Divides BATCH."""
 
-WithLight = Callable[[Received | None, Bool[Array, ""], WorldLights], Received]
-"""From what was received so far what it is with some lights; told whether squared distances to them are in range."""
+WithLight = Callable[[Stage, Received | None, WorldLights], Received]
+"""From what was received so far what it is with some lights."""
 
 Bounds = tuple[Vector, Vector]
 """Lowest and highest coordinates of groups of samples; planes [groups]."""
+
+
+class Extent(NamedTuple):
+    """Where a tile of samples is, and what it is seen from."""
+
+    low: Float[Array, "3"]
+    """Lowest coordinates."""
+    high: Float[Array, "3"]
+    """Highest coordinates."""
+    viewer: Vector | None
+    """Where the viewer is; None: it does not matter where lights are seen from."""
 
 
 def received_from_near(
@@ -49,7 +63,7 @@ def received_from_near(
     extent: Extent,
 ) -> Received:
     """`total` and the light of those lights, of those in scope (None: all), that reach the samples of a tile."""
-    reaches = stage(_reaches_tile, *lax.stop_gradient((lights, in_scope, extent.low, extent.high)))
+    reaches = stage(_reaches_tile, *lax.stop_gradient((lights, in_scope, extent)))
     words = _packed(reaches)
     ends = jnp.cumsum(_count_of_flags(words))
     count = ends[-1]
@@ -65,10 +79,15 @@ def received_from_near(
 
 
 def _reaches_tile(
-    lights: WorldLights, in_scope: Bool[Array, " lights"] | None, low: Float[Array, "3"], high: Float[Array, "3"]
+    lights: WorldLights, in_scope: Bool[Array, " lights"] | None, extent: Extent
 ) -> Bool[Array, " lights"]:
-    reaches = may_reach(lights, (Vector(*low[:, None]), Vector(*high[:, None])))[:, 0]
+    reaches = may_reach(lights, _bounds(extent))[:, 0]
     return reaches if in_scope is None else reaches & in_scope
+
+
+def _bounds(extent: Extent) -> Bounds:
+    """Of the tile, as those of a single group."""
+    return Vector(*extent.low[:, None]), Vector(*extent.high[:, None])
 
 
 def may_reach(lights: WorldLights, bounds: Bounds) -> Bool[Array, "lights groups"]:
@@ -124,7 +143,8 @@ def _received_from_listed(
     extent: Extent,
 ) -> Received:
     """`total` and the light of the first `count` lights, each lane taking only those that may reach its samples."""
-    in_range = stage(partial(_squares_in_range, lights, count, extent), name="in_range")
+    ordinary = stage(_all_ordinary, *lax.stop_gradient((lights, count, extent)))
+    stage = dataclasses.replace(stage, ordinary=stage.ordinary & for_all_mapped(ordinary))
     words = _lists(stage, lights, count, position)
     length = jnp.sum(_count_of_flags(words), axis=0)
 
@@ -145,7 +165,7 @@ def _received_from_listed(
 
         some = stage(listed_lights)
         some = some.with_planes(partial(_with_axis, axis=1), partial(_with_axis, axis=2))
-        return with_light(total, in_range, some)
+        return with_light(stage, total, some)
 
     return stage.sum(with_chunk, total, _parts(jnp.max(length), CHUNK))
 
@@ -177,12 +197,10 @@ def _with_axis(planes: Array, axis: int) -> Array:
     return with_layout_constraint(planes, Layout(tuple(range(planes.ndim))))
 
 
-def _squares_in_range(lights: WorldLights, count: Int[Array, ""], extent: Extent) -> Bool[Array, ""]:
-    """Whether squared distances to the first `count` lights too are normal numbers."""
-    assert lights.place is not None
-    place = Vector(*(component[:, 0, 0] for component in lights.place))
-    in_range = squares_in_range(place, Vector(*extent.low), Vector(*extent.high))
-    return extent.in_range & jnp.all(in_range | (jnp.arange(lights.count) >= count))
+def _all_ordinary(lights: WorldLights, count: Int[Array, ""], extent: Extent) -> Bool[Array, ""]:
+    """Whether a tile is ordinary as far as the first `count` lights go."""
+    found = ordinary_lights(lights, extent.viewer, *_bounds(extent))[:, 0]
+    return jnp.all(found | (jnp.arange(lights.count) >= count))
 
 
 def _parts(count: Int[Array, ""], size: int) -> Int[Array, ""]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -16,21 +17,21 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from .elementary import exp, exp2_fast, log2_fast, log_of_alignment, ratio, steep_reciprocal
-from .vectors import Vector, cross, dot, half_vector, inverse_length_in_range
+from .vectors import Vector, cross, dot, half_vector, inverse_length_in_range, inverse_length_unscaled
 
 
 class Highlight(NamedTuple):
     """How highlights are computed."""
 
-    alignment: Callable[[Vector, Vector, Vector], Array]
-    """What the power asks to know of N . H, for unit n, l and v; not to be differentiated."""
-    slopes: Callable[[Array, Vector, Vector, Vector], Any]
-    """From the alignment and n, l and v what its derivatives by all of their components share."""
-    fewer_slopes: Callable[[Any], tuple[Array, Any]] | None
-    """A plane that is positive where all of the slopes is needed and else 0, and slopes with less to compute for where
-    it is 0 everywhere; None: all is always needed."""
-    known_alignment: Callable[[Any, Vector, Vector, Vector], Array]
-    """`alignment` from its `slopes`, with derivatives by n, l and v."""
+    alignment: Callable[[Vector, Vector, Vector, bool], Array]
+    """What the power asks to know of N . H, for unit n, l and v; told whether the tile is ordinary (see `ordinary`) and
+    so l not near -v. Not to be differentiated."""
+    slopes: Callable[[Array, Vector, Vector, Vector, bool], Any]
+    """From the alignment and what it is taken of what its derivatives by all components share."""
+    known_alignment: Callable[[bool, Any, Vector, Vector, Vector], Array]
+    """`alignment` from whether the tile is ordinary and its `slopes`, with derivatives by n, l and v."""
+    asks_apart: bool
+    """Whether it matters if l is near -v."""
     power: Callable[[Array, Array], Array]
     """(N . H)^exponent from the alignment; where N . H <= 0 it is 0^exponent: 1 for exponent 0, else 0."""
     known_power: Callable[[Array, Array, Array], Array]
@@ -74,18 +75,26 @@ AWAY = 1.0
 """Stands for any N . H <= 0; a true alignment is at most 3/4."""
 
 
-def aligned(n: Vector, l: Vector, v: Vector) -> Array:
+def aligned(n: Vector, l: Vector, v: Vector, ordinary: bool) -> Array:
     """N . H for unit n, l and v (undefined ones are 0); N . H - 1 where that is above -1/4.
 
     Close to N = H the dot product has no digits of the angle left, and an exponent of 128 would show it: there
     1 - N . H is taken from the difference, |N - H|^2 / 2. Where N . H <= 0: AWAY, with derivative 0.
     """
-    half = half_vector(l, v)
     # 1 / |l + v| here, and not in a stage before: near l = -v another rounding of l has another length of the sum.
-    towards = half.scaled(inverse_length_in_range(half))
+    half, inverse = _half_and_inverse(l, v, ordinary)
+    towards = half.scaled(inverse)
     difference = n - towards
     cosine, below_one = dot(n, towards), -0.5 * dot(difference, difference)
     return jnp.where(cosine > 0, jnp.where(below_one > -0.25, below_one, cosine), AWAY)
+
+
+def _half_and_inverse(l: Vector, v: Vector, ordinary: bool) -> tuple[Vector, Array]:
+    """l + v and 1 / |l + v|."""
+    if ordinary:
+        return l + v, inverse_length_in_range(l + v)
+    half = half_vector(l, v)
+    return half, inverse_length_unscaled(half)
 
 
 class _AlignedSlopes(NamedTuple):
@@ -94,33 +103,26 @@ class _AlignedSlopes(NamedTuple):
     alignment: Array
     inverse: Array
     """1 / |l + v|; 0 where N . H <= 0."""
-    share: Array | None
-    """1 / |l - v|^2 where l and v point apart, |l - v|^2 > 3; else 0. None: they point apart nowhere."""
+    share: Array
+    """1 / |l - v|^2 where l and v point apart, |l - v|^2 > 3; else 0. Not asked for in ordinary tiles."""
 
 
-def _aligned_slopes(alignment: Array, n: Vector, l: Vector, v: Vector) -> _AlignedSlopes:
-    inverse = inverse_length_in_range(half_vector(l, v))
+def _aligned_slopes(alignment: Array, n: Vector, l: Vector, v: Vector, ordinary: bool) -> _AlignedSlopes:
+    inverse = jnp.where(alignment == AWAY, 0.0, _half_and_inverse(l, v, ordinary)[1])
+    if ordinary:
+        return _AlignedSlopes(alignment, inverse, jnp.zeros_like(inverse))
     apart = l - v
     squared = dot(apart, apart)
-    return _AlignedSlopes(
-        alignment,
-        jnp.where(alignment == AWAY, 0.0, inverse),
-        jnp.where(squared > 3, 1.0 / jnp.maximum(squared, 1.0), 0.0),
-    )
+    return _AlignedSlopes(alignment, inverse, jnp.where(squared > 3, 1.0 / jnp.maximum(squared, 1.0), 0.0))
 
 
-def _fewer_aligned_slopes(slopes: _AlignedSlopes) -> tuple[Array, _AlignedSlopes]:
-    assert slopes.share is not None
-    return slopes.share, slopes._replace(share=None)
-
-
-@jax.custom_jvp
-def _aligned_known(slopes: _AlignedSlopes, n: Vector, l: Vector, v: Vector) -> Array:
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _aligned_known(ordinary: bool, slopes: _AlignedSlopes, n: Vector, l: Vector, v: Vector) -> Array:
     return slopes.alignment
 
 
 @_aligned_known.defjvp
-def _aligned_known_jvp(primals, tangents):
+def _aligned_known_jvp(ordinary, primals, tangents):
     """d(N . H) = H . dn + N . dH with dH the part of d(l + v) / |l + v| at right angles to H.
 
     Near the peak, N - H stands for N: rounded lengths of both would otherwise leave a part along H, as large as the
@@ -128,10 +130,10 @@ def _aligned_known_jvp(primals, tangents):
     -H . d(l - v) / |l - v|, as H . (l - v) = 0: it has nothing to do with the large 1 / |l + v|.
     """
     (slopes, n, l, v), (_, dn, dl, dv) = primals, tangents
-    half = l + v if slopes.share is None else half_vector(l, v)
+    half = l + v if ordinary else half_vector(l, v)
     towards, apart = half.scaled(slopes.inverse), l - v
     base = n - towards.scaled(jnp.where(slopes.alignment <= 0, 1.0, 0.0))
-    if slopes.share is None:
+    if ordinary:
         across = base.scaled(slopes.inverse) - towards.scaled(slopes.inverse * dot(base, towards))
         return slopes.alignment, dot(across, dl + dv) + dot(towards, dn)
     side = cross(towards, apart)
@@ -164,12 +166,12 @@ def _power_change(power: Array, x: Array, exponent: Array, dx: Array, d_exponent
     return jnp.where(faces, change, 0.0)
 
 
-FULL = Highlight(aligned, _aligned_slopes, _fewer_aligned_slopes, _aligned_known, *_power_of(_power, _power_change))
+FULL = Highlight(aligned, _aligned_slopes, _aligned_known, True, *_power_of(_power, _power_change))
 
 # --- fast: fewer operations ------------------------------------------------------------------------------------------
 
 
-def squared_cosine(n: Vector, l: Vector, v: Vector) -> Array:
+def squared_cosine(n: Vector, l: Vector, v: Vector, ordinary: bool = False) -> Array:
     """(N . H)^2 without a unit half vector, 0 where N . H <= 0; its rounding counts exponent / 2 times in the power."""
     half = l + v
     cosine = dot(n, half)
@@ -183,19 +185,19 @@ class _SquaredSlopes(NamedTuple):
     """1 / |l + v|^2, 0 where N . H <= 0."""
 
 
-def _squared_slopes(squared: Array, n: Vector, l: Vector, v: Vector) -> _SquaredSlopes:
+def _squared_slopes(squared: Array, n: Vector, l: Vector, v: Vector, ordinary: bool) -> _SquaredSlopes:
     half = l + v
     faces = squared > 0
     return _SquaredSlopes(squared, jnp.where(faces, steep_reciprocal(jnp.where(faces, dot(half, half), 1.0)), 0.0))
 
 
-@jax.custom_jvp
-def _squared_known(slopes: _SquaredSlopes, n: Vector, l: Vector, v: Vector) -> Array:
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _squared_known(ordinary: bool, slopes: _SquaredSlopes, n: Vector, l: Vector, v: Vector) -> Array:
     return slopes.squared
 
 
 @_squared_known.defjvp
-def _squared_known_jvp(primals, tangents):
+def _squared_known_jvp(ordinary, primals, tangents):
     (slopes, n, l, v), (_, dn, dl, dv) = primals, tangents
     half, change = l + v, dl + dv
     cosine = 2.0 * slopes.inverse * dot(n, half)
@@ -221,7 +223,7 @@ def _power_of_squared_change(power: Array, squared: Array, exponent: Array, d_sq
 FAST = Highlight(
     squared_cosine,
     _squared_slopes,
-    None,
     _squared_known,
+    False,
     *_power_of(_power_of_squared, _power_of_squared_change),
 )

@@ -26,8 +26,8 @@ def linear_stage(
     known: Any,
     moving: Any,
     *,
-    gradient: Callable[..., Any] | None = None,
-    quick: Callable[..., Any] | None = None,
+    gradients: Sequence[Callable[..., Any]] | None = None,
+    quick: Sequence[Callable[..., Any]] | None = None,
 ) -> Any:
     """functions[which - 1](known, moving), linear in `moving`, behind a boundary.
 
@@ -35,8 +35,8 @@ def linear_stage(
         which: at least 1, but only the running program knows. Mapped over, the largest counts for all.
         functions: close over no traced value; all give the same shapes.
         known, moving: pytrees of arrays.
-        gradient: gradient(known, results), a quicker form of the functions' transpose; gives what `moving` is.
-        quick: quick(known, moving), a quicker form of the functions. Neither form is differentiated.
+        gradients: of (known, results), quicker forms of the functions' transposes; give what `moving` is.
+        quick: of (known, moving), quicker forms of the functions. Neither form is differentiated.
     """
     known_leaves, known_tree = jax.tree.flatten(known)
     moving_leaves, moving_tree = jax.tree.flatten(moving)
@@ -45,27 +45,28 @@ def linear_stage(
         here, there = leaves[: len(known_leaves)], leaves[len(known_leaves) :]
         return function(known_tree.unflatten(here), tree.unflatten(there))
 
+    shapes = jax.eval_shape(functions[0], known, moving)
+    results, tree = jax.tree.flatten(shapes)
+
+    def jaxprs_of(functions: Sequence[Callable[..., Any]], tree: Any, *given: Any) -> _Forms:
+        return tuple(jax.make_jaxpr(partial(flat, function, tree))(*known_leaves, *given) for function in functions)
+
+    forms = {
+        "jaxprs": jaxprs_of(functions, moving_tree, *moving_leaves),
+        "gradients": None if gradients is None else jaxprs_of(gradients, tree, *results),
+        "quick": None if quick is None else jaxprs_of(quick, moving_tree, *moving_leaves),
+    }
     leaves = (*known_leaves, *moving_leaves)
-    made = [jax.make_jaxpr(partial(flat, function, moving_tree), return_shape=True)(*leaves) for function in functions]
-    shapes = made[0][1]
-    back = here = None
-    if gradient is not None:
-        results, tree = jax.tree.flatten(shapes)
-        back = jax.make_jaxpr(partial(flat, gradient, tree))(*known_leaves, *results)
-    if quick is not None:
-        here = jax.make_jaxpr(partial(flat, quick, moving_tree))(*leaves)
-    jaxprs = tuple(jaxpr for jaxpr, _ in made)
-    forms = {"jaxprs": jaxprs, "gradient": back, "quick": here}
-    return jax.tree.structure(shapes).unflatten(_linear_stage.bind(which, *leaves, known=len(known_leaves), **forms))
+    return tree.unflatten(_linear_stage.bind(which, *leaves, known=len(known_leaves), **forms))
 
 
-_Form = ClosedJaxpr | None
+_Forms = tuple[ClosedJaxpr, ...]
 
 
 def _evaluated(
-    which: Array, *operands: Array, jaxprs: tuple[ClosedJaxpr, ...], known: int, gradient: _Form, quick: _Form
+    which: Array, *operands: Array, jaxprs: _Forms, known: int, gradients: _Forms | None, quick: _Forms | None
 ) -> Sequence[Array]:
-    return _conditional(which, operands, jaxprs if quick is None else [quick])
+    return _conditional(which, operands, jaxprs if quick is None else quick)
 
 
 def _conditional(which: Array, operands: Sequence[Array], jaxprs: Sequence[ClosedJaxpr]) -> Sequence[Array]:
@@ -76,7 +77,7 @@ def _conditional(which: Array, operands: Sequence[Array], jaxprs: Sequence[Close
 
 
 def _jvp(
-    primals: Sequence[Any], tangents: Sequence[Any], *, jaxprs: tuple[ClosedJaxpr, ...], known: int, **quicker: _Form
+    primals: Sequence[Any], tangents: Sequence[Any], *, jaxprs: _Forms, known: int, **quicker: _Forms | None
 ) -> Any:
     which, *operands = primals
     changes = tangents[1:]
@@ -92,10 +93,10 @@ def _transpose(
     cotangents: Sequence[Any],
     which: Array,
     *operands: Any,
-    jaxprs: tuple[ClosedJaxpr, ...],
+    jaxprs: _Forms,
     known: int,
-    gradient: _Form,
-    quick: _Form,
+    gradients: _Forms | None,
+    quick: _Forms | None,
 ) -> list[Any]:
     linear = [number for number, operand in enumerate(operands) if ad.is_undefined_primal(operand)]
     felt = [number for number, cotangent in enumerate(cotangents) if type(cotangent) is not ad.Zero]
@@ -110,15 +111,16 @@ def _transpose(
 
         return list(jax.linear_transpose(of_linear, *shapes)(back))
 
-    def quickly(here: tuple[Array, ...], back: list[Array]) -> list[Array]:
-        assert gradient is not None
+    def quickly(gradient: ClosedJaxpr, here: tuple[Array, ...], back: list[Array]) -> list[Array]:
         results = jaxpr_as_fun(gradient)(*here, *back)
         return [results[number - known] for number in linear]
 
     functions = [partial(pulled, jaxpr) for jaxpr in jaxprs]
     back = [cotangents[number] for number in felt]
-    form = quickly if gradient is not None and len(felt) == len(cotangents) else None
-    found = linear_stage(which, functions, tuple(operands[:known]), back, quick=form)
+    forms = None
+    if gradients is not None and len(felt) == len(cotangents):
+        forms = [partial(quickly, gradient) for gradient in gradients]
+    found = linear_stage(which, functions, tuple(operands[:known]), back, quick=forms)
     return [None, *merged([None] * len(operands), linear, found)]
 
 
@@ -126,16 +128,16 @@ def _batched(
     operands: Sequence[Any],
     axes: Sequence[Any],
     *,
-    jaxprs: tuple[ClosedJaxpr, ...],
+    jaxprs: _Forms,
     known: int,
-    gradient: _Form,
-    quick: _Form,
+    gradients: _Forms | None,
+    quick: _Forms | None,
 ) -> Any:
     which, *operands = operands
     axis, *axes = axes
     which = which if axis is batching.not_mapped else jnp.max(which)
     if all(axis is batching.not_mapped for axis in axes):
-        results = _linear_stage.bind(which, *operands, jaxprs=jaxprs, known=known, gradient=gradient, quick=quick)
+        results = _linear_stage.bind(which, *operands, jaxprs=jaxprs, known=known, gradients=gradients, quick=quick)
         return results, [batching.not_mapped] * len(results)
 
     def mapped(jaxpr: ClosedJaxpr, here: list[Array], there: list[Array]) -> Any:
@@ -154,8 +156,8 @@ def _batched(
         [partial(mapped, jaxpr) for jaxpr in jaxprs],
         operands[:known],
         operands[known:],
-        gradient=None if gradient is None else partial(mapped_gradient, gradient),
-        quick=None if quick is None else partial(mapped, quick),
+        gradients=None if gradients is None else [partial(mapped_gradient, gradient) for gradient in gradients],
+        quick=None if quick is None else [partial(mapped, form) for form in quick],
     )
     return results, [0] * len(results)
 

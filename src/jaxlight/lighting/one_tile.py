@@ -20,14 +20,15 @@ from jaxtyping import Array, Bool, Float
 from ..raster.samples import SampleBuffer
 from ..scene import Surface
 from .changes import with_change
-from .culling import received_from_near
+from .culling import Extent, received_from_near
 from .highlight import highlight_of
+from .ordinary import for_all_mapped
 from .plan import LightPlan, Plan
-from .prepared import Prepared, compute_dtype, lanes_of, material_row, on_one_lane
+from .prepared import Prepared, compute_dtype, lanes_of, material_row, on_one_lane, viewer_of
 from .sample_loops import UNROLLED, SampleLoops, SideBySide
 from .stages import Stage
 from .surface import MaterialRow, alpha, base_color, sampled_texture
-from .terms import Extent, Geometry, Haze, InRange, Received, Unread, directions, fogged, haze, lit, received
+from .terms import Geometry, Haze, Received, Unread, directions, fogged, haze, lit, received
 from .unstored import Inlined, stored
 from .vectors import Vector
 from .world import WorldFog, WorldLights, in_chunks
@@ -189,13 +190,14 @@ def _color(stage: Stage, how: How, prepared: Prepared, samples: SampleBuffer, in
         lights=tuple(map(_in_reach, all_lights, how.plan.lights, in_scope)) if lit_material else (None,) * 3,  # type: ignore[arg-type]
         fog=prepared.fog if lit_material or plan.options.fog_unlit else None,
     )
-    in_range = jnp.all(lax.dynamic_slice_in_dim(prepared.in_range, first, count))
-    near = Near(Extent(bounds(samples.tile_low, jnp.min), bounds(samples.tile_high, jnp.max), in_range), in_scope)
+    ordinary = for_all_mapped(jnp.all(lax.dynamic_slice_in_dim(prepared.ordinary, first, count)))
+    stage = dataclasses.replace(stage, ordinary=ordinary)
     number = sum(lights.count for lights in inputs.lights if lights is not None)
     if number > UNROLLED or how.plan.culled:
-        rgb = _rgb(how, near, stage, in_range, inputs)
+        extent = Extent(bounds(samples.tile_low, jnp.min), bounds(samples.tile_high, jnp.max), viewer_of(samples, plan))
+        rgb = _rgb(how, Near(extent, in_scope), stage, inputs)
     else:
-        rgb = stage.together(partial(_rgb, how, None), in_range, inputs)
+        rgb = stage.together(partial(_rgb, how, None), inputs)
     own = None if vertex_color is None else stored(vertex_color).stacked()
     opacity = alpha(plan.options, material, own, texel)
     opacity = jnp.ones(1, dtype) if opacity is None else opacity.astype(dtype).reshape(-1)
@@ -222,28 +224,24 @@ def _in_reach(
     return dataclasses.replace(lights, color=jnp.where(in_scope[:, None, None], lights.color, 0.0))
 
 
-def _rgb(
-    how: How, near: Near | None, stage: Stage, in_range: InRange, inputs: TileInputs
-) -> Float[Array, "3 rows lanes"]:
+def _rgb(how: How, near: Near | None, stage: Stage, inputs: TileInputs) -> Float[Array, "3 rows lanes"]:
     """The equation; `near` is asked for if lights are culled."""
     position, eye = inputs.position.vector, Vector(*inputs.eye)
-    own = stage.together(directions, in_range, inputs.position, inputs.normal, inputs.eye)
+    own = stage.together(directions, inputs.position, inputs.normal, inputs.eye)
     tile = Geometry(position, eye, *(own.stored() if isinstance(own, SideBySide) else own))
-    light = _light(how, near, stage, in_range, inputs, tile)
-    return stage.together(partial(_mixed, how), in_range, inputs._replace(lights=(None,) * 3), light, tile)
+    light = _light(how, near, stage, inputs, tile)
+    return stage.together(partial(_mixed, how), inputs._replace(lights=(None,) * 3), light, tile)
 
 
-def _light(
-    how: How, near: Near | None, stage: Stage, in_range: InRange, inputs: TileInputs, tile: Geometry
-) -> Received | None:
+def _light(how: How, near: Near | None, stage: Stage, inputs: TileInputs, tile: Geometry) -> Received | None:
     """What the lights of all kinds send to a tile; None: there are none."""
     total = None
     for kind, (lights, plan) in enumerate(zip(inputs.lights, how.plan.lights, strict=True)):
         if lights is None or plan is None:
             continue
 
-        def with_light(total: Received | None, in_range: InRange, some: WorldLights) -> Received:
-            return stage.together(partial(_received, how), in_range, some, tile, inputs.material, total)
+        def with_light(stage: Stage, total: Received | None, some: WorldLights) -> Received:
+            return stage.together(partial(_received, how), some, tile, inputs.material, total)
 
         most = stage.most_lights(math.prod(tile.position.x.shape))
         if plan.culled:
@@ -254,16 +252,15 @@ def _light(
             parts = -(-lights.count // most)
             # All about as long: what is missing is filled up with black.
             chunks = in_chunks(lights, -(-lights.count // parts))
-            total = stage.sum_over(lambda total, some, of=with_light: of(total, in_range, some), total, chunks)
+            total = stage.sum_over(lambda total, some, of=with_light: of(stage, total, some), total, chunks)
         else:
-            total = with_light(total, in_range, lights)
+            total = with_light(stage, total, lights)
     return total
 
 
 def _received(
     how: How,
     stage: Stage,
-    in_range: InRange,
     lights: WorldLights,
     tile: Geometry,
     material: MaterialRow,
@@ -272,12 +269,12 @@ def _received(
     """`total` and what these lights send."""
     options = how.plan.options
     highlight = highlight_of(options.accuracy) if how.plan.specular else None
-    own = received(stage, in_range, lights, tile, material, highlight=highlight, specular_gate=options.specular_gate)
+    own = received(stage, lights, tile, material, highlight=highlight, specular_gate=options.specular_gate)
     return own if total is None else total + own
 
 
 def _mixed(
-    how: How, stage: Stage, in_range: InRange, inputs: TileInputs, light: Received | None, tile: Geometry
+    how: How, stage: Stage, inputs: TileInputs, light: Received | None, tile: Geometry
 ) -> Float[Array, "3 rows lanes"]:
     fog = None
     if inputs.fog is not None and how.plan.fog is not None:

@@ -14,9 +14,11 @@ from jaxtyping import Array, Bool
 
 from ..raster.samples import LANES, SampleBuffer
 from ..scene import Materials, Scene, Surface
+from .highlight import highlight_of
+from .ordinary import ordinary_lights, squares_in_range
 from .plan import Plan
 from .surface import MaterialRow
-from .vectors import Vector, squares_in_range
+from .vectors import Vector
 from .world import WorldFog, WorldLights, fog_in_world, lights_in_world, on_lanes
 
 
@@ -32,8 +34,8 @@ class Prepared(eqx.Module):
     """[surfaces, lights] of the kinds above; None: every light reaches every surface."""
     fog: WorldFog | None
     textures: tuple[Array, ...]
-    in_range: Bool[Array, " tiles"]
-    """Whether squared distances from the tile to the viewer, and to all lights that are not culled, are normal."""
+    ordinary: Bool[Array, " tiles"]
+    """Which tiles are ordinary (see `ordinary`) as far as lights go that are not culled."""
     surfaces: tuple[Surface, ...] = eqx.field(static=True)
 
 
@@ -68,7 +70,7 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan) -> Prepared:
         if plan.fog is None or scene.fog is None
         else fog_in_world(scene.fog, plan.fog, dtype, lanes_of(samples)),
         textures=tuple(texture.image for texture in scene.textures),
-        in_range=_in_range(samples, dtype, shading_all),
+        ordinary=_ordinary(samples, dtype, shading_all, viewer_of(samples, plan)),
         surfaces=scene.surfaces,
     )
 
@@ -83,14 +85,20 @@ def on_one_lane(prepared: Prepared) -> Prepared:
     return dataclasses.replace(prepared, **parts)
 
 
-def _in_range(samples: SampleBuffer, dtype: jnp.dtype, groups: list[WorldLights]) -> Bool[Array, " tiles"]:
+def _ordinary(
+    samples: SampleBuffer, dtype: jnp.dtype, groups: list[WorldLights], viewer: Vector | None
+) -> Bool[Array, " tiles"]:
     low, high = (Vector(*bounds.astype(dtype)) for bounds in (samples.tile_low, samples.tile_high))
     found = squares_in_range(Vector(*samples.eye.astype(dtype)), low, high)
     for lights in groups:
-        if lights.place is not None:
-            place = Vector(*(component[:, 0, :1] for component in lights.place))
-            found &= jnp.all(squares_in_range(place, low, high), axis=0)
+        found &= jnp.all(ordinary_lights(lights, viewer, low, high), axis=0)
     return found
+
+
+def viewer_of(samples: SampleBuffer, plan: Plan) -> Vector | None:
+    """Where the viewer is, if it matters where lights are seen from: accurate highlights ask for it."""
+    asked = plan.specular and highlight_of(plan.options.accuracy).asks_apart
+    return Vector(*samples.eye.astype(compute_dtype(samples))) if asked else None
 
 
 def compute_dtype(samples: SampleBuffer) -> jnp.dtype:

@@ -67,8 +67,8 @@ class SampleLoops(Stage):
 
         return self.sum(with_part, total, jax.tree.leaves(parts)[0].shape[0])
 
-    def together(self, function: Callable[..., Any], in_range: Any, *operands: Any) -> Any:
-        """function(stage, in_range, *operands) in one loop, where in_range is known; gives `SideBySide`.
+    def together(self, function: Callable[..., Any], *operands: Any) -> Any:
+        """function(stage, *operands) in one loop; gives `SideBySide`.
 
         Operands and results are pytrees of arrays [..., rows or 1, lanes or 1].
         """
@@ -76,8 +76,8 @@ class SampleLoops(Stage):
         rows = max(leaf.shape[-2] for leaf in jax.tree.leaves(shapes))
         single = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*leaf.shape[:-2], 1, 1), leaf.dtype), shapes)
 
-        def of_sample(in_range: bool, operands: tuple[Any, ...]) -> Any:
-            return stored(function(_INSIDE, in_range, *operands))
+        def of_sample(ordinary: bool, operands: tuple[Any, ...]) -> Any:
+            return stored(function(_Inside(cast(Array, True), ordinary), *operands))
 
         results = jax.eval_shape(partial(of_sample, True), single)
         leaves, tree = jax.tree.flatten(results)
@@ -86,13 +86,12 @@ class SampleLoops(Stage):
         def never() -> Array:
             return jnp.full((rows, self.lanes, count), self.always, leaves[0].dtype)
 
-        def loop(in_range: bool) -> Array:
-            jaxpr = jax.make_jaxpr(lambda given: jax.tree.leaves(of_sample(in_range, given)))(single)
+        def loop(ordinary: bool) -> Array:
+            jaxpr = jax.make_jaxpr(lambda given: jax.tree.leaves(of_sample(ordinary, given)))(single)
             return in_one_loop(unrolled(jaxpr), _single_planes(operands), (rows, self.lanes))
 
         with jax.named_scope(f"loop.{getattr(function, 'func', function).__name__.lstrip('_')}"):
-            which = jnp.where(in_range, 2, 1) * self.always
-            numbers = lax.switch(which, [never, lambda: loop(False), lambda: loop(True)])
+            numbers = lax.switch(self.which, [never, lambda: loop(True), lambda: loop(False)])
         return SideBySide(numbers, tuple(leaf.shape[:-2] for leaf in leaves), tree)
 
 
@@ -113,7 +112,7 @@ def _single_planes(operands: Any) -> list[Float[Array, "#rows #lanes"]]:
 
 
 class _Inside(Stage):
-    """Stages inside of a loop: none."""
+    """Stages inside of a loop: none. It is known which form is evaluated."""
 
     def most_lights(self, samples: int) -> int:
         return UNROLLED
@@ -122,9 +121,12 @@ class _Inside(Stage):
         return function(*stored(operands))
 
     def each(
-        self, function: Callable[..., Any], *operands: Any, derived: tuple[Any, ...] = (), **for_derivatives: Any
+        self,
+        function: Callable[..., Any],
+        *operands: Any,
+        derived: tuple[Any, ...] = (),
+        has_forms: bool = False,
+        **for_derivatives: Any,
     ) -> Any:
-        return function(*stored(operands), *stored(derived))
-
-
-_INSIDE = _Inside(cast(Array, True))
+        form = partial(function, ordinary=self.ordinary) if has_forms else function
+        return form(*stored(operands), *stored(derived))

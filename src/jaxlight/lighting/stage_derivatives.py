@@ -5,7 +5,7 @@ Only what a stage is given and gives is ever stored: derivatives compute anew wh
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple, Protocol
 
@@ -19,15 +19,21 @@ from .loop_gradient import gradient_in_one_loop
 from .one_loop import MOST_RESULTS
 from .unstored import is_unstored, stored
 
+Forms = Sequence[Callable[..., Any]]
+"""The only form of a function, or two: for ordinary tiles, and with care."""
+
 
 class Boundary(Protocol):
     """A `Stage`, which knows nothing of derivatives."""
 
     always: Array
 
+    @property
+    def which(self) -> Array: ...
+
     def __call__(self, function: Callable[..., Any], *operands: Any, name: str = "") -> Any: ...
 
-    def leaf_by_leaf(self, function: Callable[..., Any], *operands: Any) -> Any: ...
+    def leaf_by_leaf(self, forms: Forms, *operands: Any) -> Any: ...
 
 
 class How(NamedTuple):
@@ -36,14 +42,31 @@ class How(NamedTuple):
     function: Callable[..., Any]
     wide: tuple[int, ...]
     shared: Callable[..., Any] | None
-    less: Callable[..., Any] | None
+    has_forms: bool
     of_numbers: bool
+
+    @property
+    def forms(self) -> Forms:
+        """Of the function."""
+        return self._forms_of(self.function)
+
+    @property
+    def shared_forms(self) -> Forms | None:
+        """Of what is shared."""
+        return None if self.shared is None else self._forms_of(self.shared)
+
+    def _forms_of(self, function: Callable[..., Any]) -> Forms:
+        return [partial(function, ordinary=ordinary) for ordinary in (True, False)] if self.has_forms else [function]
+
+    def which(self, stage: Boundary) -> Array:
+        """Which of the forms is evaluated, counted from 1."""
+        return stage.which if self.has_forms else stage.always.astype(jnp.int32)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def each(how: How, stage: Boundary, operands: tuple[Any, ...], derived: tuple[Any, ...]) -> Any:
     """`Stage.each`."""
-    return stage.leaf_by_leaf(how.function, *operands, *derived)
+    return stage.leaf_by_leaf(how.forms, *operands, *derived)
 
 
 def _each_jvp(how: How, primals: Any, tangents: Any) -> Any:
@@ -79,53 +102,46 @@ def _change_by_fields(
 ) -> Any:
     """The change of the results by the planes in these places, the same in all rows."""
 
-    def of_planes(moved: Any, operands: Any, derived: Any, results: Any) -> Any:
-        if how.shared is None:
-            return how.function(*moved, *derived)
-        return how.function(*moved, *derived, how.shared(results, *operands, *derived))
+    def of_planes(form: int, moved: Any, operands: Any, derived: Any, results: Any) -> Any:
+        function, shared = how.forms[form], how.shared_forms
+        if shared is None:
+            return function(*moved, *derived)
+        return function(*moved, *derived, shared[form](results, *operands, *derived))
 
-    def change(known: tuple[Boundary, Any], directions: list[Array]) -> Any:
+    def change(form: int, known: tuple[Boundary, Any], directions: list[Array]) -> Any:
         operands, derived, results = stored(known[1])
         planes, tree = jax.tree.flatten(operands)
 
         def of_moving(*values: Array) -> Any:
-            return of_planes(tree.unflatten(merged(planes, places, values)), operands, derived, results)
+            return of_planes(form, tree.unflatten(merged(planes, places, values)), operands, derived, results)
 
         return jax.jvp(of_moving, [planes[place] for place in places], directions)[1]
 
-    def gradient(known: tuple[Boundary, Any], cotangents: Any) -> list[Array]:
+    def gradient(form: int, known: tuple[Boundary, Any], cotangents: Any) -> list[Array]:
         stage, given = known
         planes, tree = jax.tree.flatten(stored(given))
 
         def of_numbers(*numbers: Array) -> Any:
             given = tree.unflatten(numbers)
-            return of_planes(given[0], *jax.lax.stop_gradient(given))
+            return of_planes(form, given[0], *jax.lax.stop_gradient(given))
 
         return gradient_in_one_loop(stage, of_numbers, planes, places, cotangents)
 
-    known = (stage, (operands, derived, results))
-    return linear_stage(stage.always.astype(jnp.int32), [change], known, directions, gradient=gradient)
+    known, forms = (stage, (operands, derived, results)), range(len(how.forms))
+    changes, gradients = ([partial(function, form) for form in forms] for function in (change, gradient))
+    return linear_stage(how.which(stage), changes, known, directions, gradients=gradients)
 
 
 def _change(
     how: How, stage: Boundary, operands: Any, derived: Any, results: Any, changes: list[Array], moving: list[int]
 ) -> Any:
     """The change of the results by the moving leaves of the operands."""
-    function, wide, shared, less, _ = how
     leaves, tree = jax.tree.flatten(operands)
-    which, choices = stage.always.astype(jnp.int32), [derived]
-    if shared is not None:
-        planes = stage.leaf_by_leaf(shared, results, *operands, *derived)
-        choices = [(*derived, planes)]
-        if less is not None:
-            needed, fewer = less(planes)
-            lanes = stage(partial(jnp.sum, axis=-2), needed, name=f"{name_of(function)}.needed")
-            which = jnp.where(jnp.any(lanes > 0), 2 * which, which)
-            choices = [(*derived, fewer), (*derived, planes)]
-
+    if how.shared_forms is not None:
+        derived = (*derived, stage.leaf_by_leaf(how.shared_forms, results, *operands, *derived))
     shape = jnp.broadcast_shapes(*(result.shape for result in jax.tree.leaves(results)))
     is_wide = [
-        position in wide and not is_unstored(plane)
+        position in how.wide and not is_unstored(plane)
         for position, operand in enumerate(operands)
         for plane in jax.tree.leaves(operand, is_leaf=is_unstored)
         for _ in jax.tree.leaves(plane)
@@ -136,16 +152,16 @@ def _change(
 
     directions = [widened(number, changes[number]) for number in moving]
 
-    def change(choice: int, known: tuple[list[Array], list[Any]], directions: list[Array]) -> Any:
-        leaves, derived = known[0], known[1][choice]
+    def change(form: Callable[..., Any], known: tuple[list[Array], Any], directions: list[Array]) -> Any:
+        leaves, derived = known
 
         def of_moving(*values: Array) -> Any:
-            return function(*stored(tree.unflatten(merged(leaves, moving, values))), *derived)
+            return form(*stored(tree.unflatten(merged(leaves, moving, values))), *derived)
 
         return jax.jvp(of_moving, [widened(number, leaves[number]) for number in moving], directions)[1]
 
-    functions = [partial(change, choice) for choice in range(len(choices))]
-    return linear_stage(which, functions, (leaves, choices), directions)
+    changes_of = [partial(change, form) for form in how.forms]
+    return linear_stage(how.which(stage), changes_of, (leaves, derived), directions)
 
 
 each.defjvp(_each_jvp, symbolic_zeros=True)
@@ -153,5 +169,7 @@ each.defjvp(_each_jvp, symbolic_zeros=True)
 
 def name_of(function: Callable[..., Any]) -> str:
     """The name of the function, or of the one around a lambda."""
-    names = getattr(function, "func", function).__qualname__.removesuffix(".<locals>.<lambda>")
+    while isinstance(function, partial):
+        function = function.func
+    names = function.__qualname__.removesuffix(".<locals>.<lambda>")
     return names.rsplit(".", 1)[-1].lstrip("_")

@@ -19,7 +19,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Int
 
 from .running_sum import running_sum
-from .stage_derivatives import How, each, name_of
+from .stage_derivatives import Forms, How, each, name_of
 from .unstored import stored
 
 PLANE = 8192
@@ -30,6 +30,8 @@ class Stage(eqx.Module):
     """Evaluates functions behind a boundary; `always` is true, but only the running program knows."""
 
     always: Bool[Array, ""]
+    ordinary: Bool[Array, ""] | bool = False
+    """Whether functions of which there are two forms are evaluated in that without care (see `ordinary`)."""
     stacks: ClassVar[bool] = True
     """Whether some stages read several components at once."""
     forward: bool = eqx.field(static=True, default=False)
@@ -37,7 +39,12 @@ class Stage(eqx.Module):
 
     def __call__(self, function: Callable[..., Any], *operands: Any, name: str = "") -> Any:
         """function(*operands), a stage of its own; `name` (default: the function's) is for profiles."""
-        return self._bounded(function, operands, _shapes_of(function, operands), name or name_of(function))
+        return self._bounded([function], operands, _shapes_of(function, operands), name or name_of(function))
+
+    @property
+    def which(self) -> Int[Array, ""]:
+        """Which of two forms is evaluated: 1, that for ordinary tiles, or 2, the one with care."""
+        return jnp.where(self.ordinary, 1, 2) * self.always
 
     def most_lights(self, samples: int) -> int:
         """How many lights are evaluated at once for so many samples."""
@@ -61,28 +68,30 @@ class Stage(eqx.Module):
         start = zeros if total is None else stored(total)
         return lax.scan(lambda total, part: (jax.tree.map(jnp.add, total, term_of(part)), None), start, parts)[0]
 
-    def together(self, function: Callable[..., Any], in_range: Any, *operands: Any) -> Any:
-        """function(self, in_range, *operands), whose stages may be put into one: here they are not."""
-        return function(self, in_range, *operands)
+    def together(self, function: Callable[..., Any], *operands: Any) -> Any:
+        """function(self, *operands), whose stages may be put into one: here they are not."""
+        return function(self, *operands)
 
-    def leaf_by_leaf(self, function: Callable[..., Any], *operands: Any) -> Any:
-        """function(*operands), each result a stage of its own."""
-        shapes, tree = jax.tree_util.tree_flatten_with_path(_shapes_of(function, operands))
+    def leaf_by_leaf(self, forms: Forms, *operands: Any) -> Any:
+        """The form of the function that is asked for, of the operands, each result a stage of its own."""
+        name = name_of(forms[-1])
+        shapes, tree = jax.tree_util.tree_flatten_with_path(_shapes_of(forms[-1], operands))
 
         def result(number: int) -> Array:
             path, shape = shapes[number]
-            name = name_of(function) + jax.tree_util.keystr(path)
-            return self._bounded(lambda *given: jax.tree.leaves(function(*given))[number], operands, shape, name)
+            own = [lambda *given, form=form: jax.tree.leaves(form(*given))[number] for form in forms]
+            return self._bounded(own, operands, shape, name + jax.tree_util.keystr(path))
 
         return tree.unflatten([result(number) for number in range(len(shapes))])
 
-    def _bounded(self, function: Callable[..., Any], operands: tuple[Any, ...], shapes: Any, name: str) -> Any:
+    def _bounded(self, forms: Forms, operands: tuple[Any, ...], shapes: Any, name: str) -> Any:
         def never() -> Any:
             # Zeros, made of `always`: XLA takes two equal stages for one only if both branches are given something.
             return jax.tree.map(lambda shape: jnp.full(shape.shape, self.always, shape.dtype), shapes)
 
+        which = self.always.astype(jnp.int32) if len(forms) == 1 else self.which
         with jax.named_scope(f"stage.{name}"):
-            return lax.cond(self.always, lambda: function(*stored(operands)), never)
+            return lax.switch(which, [never, *(lambda form=form: form(*stored(operands)) for form in forms)])
 
     def each(
         self,
@@ -91,7 +100,7 @@ class Stage(eqx.Module):
         derived: tuple[Any, ...] = (),
         wide: tuple[int, ...] = (),
         shared: Callable[..., Any] | None = None,
-        less: Callable[[Any], tuple[Array, Any]] | None = None,
+        has_forms: bool = False,
         of_numbers: bool = False,
     ) -> Any:
         """function(*operands, *derived), each result a stage of its own; all their derivatives are one more stage.
@@ -107,12 +116,11 @@ class Stage(eqx.Module):
             shared: shared(results, *operands, *derived) gives planes that derivatives by several operands share, each
                 a stage of its own; XLA would compute them once for every operand. For derivatives `function` is given
                 them as one more of `derived`.
-            less: less(what is shared) gives a plane that is positive where that is needed and else 0, and what does as
-                well, with less to compute, if it is needed nowhere.
+            has_forms: function and what is shared take a keyword `ordinary`: there are two forms of them.
             of_numbers: function is one of numbers, element by element of planes. Gradients by what all rows have in
                 common are then one loop.
         """
-        how = How(function, () if self.forward else wide, shared, less, of_numbers and not self.forward)
+        how = How(function, () if self.forward else wide, shared, has_forms, of_numbers and not self.forward)
         return each(how, self, operands, derived)
 
 

@@ -14,11 +14,9 @@ from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
-from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from . import factors
-from .changes import change_of
 from .elementary import ratio
 from .highlight import Highlight
 from .stages import Stage
@@ -31,15 +29,11 @@ from .vectors import (
     inverse_length,
     inverse_length_in_range,
     normalised,
-    normalised_in_range,
     transform,
     unit,
     unit_planes,
 )
 from .world import WorldFog, WorldLights
-
-InRange = Bool[Array, ""] | bool
-"""Whether squared distances to the viewer and to all lights are normal numbers."""
 
 
 class Geometry(NamedTuple):
@@ -54,16 +48,6 @@ class Geometry(NamedTuple):
     """Unit vector to the viewer."""
     distance: Array
     """Distance to the viewer."""
-
-
-class Extent(NamedTuple):
-    """Where a tile of samples is."""
-
-    low: Float[Array, "3"]
-    """Lowest coordinates."""
-    high: Float[Array, "3"]
-    in_range: Bool[Array, ""]
-    """Whether squared distances to the viewer, and to all lights that are not culled, are normal numbers."""
 
 
 class Unread(NamedTuple):
@@ -85,39 +69,19 @@ class Unread(NamedTuple):
 
 
 def directions(
-    stage: Stage, in_range: InRange, position: Unread, normal: Unread, eye: Float[Array, "3 1 1"]
+    stage: Stage, position: Unread, normal: Unread, eye: Float[Array, "3 1 1"]
 ) -> tuple[Vector, Vector, Array]:
     """The unit normal, the unit vector to the viewer, and the distance to it."""
     viewer = _components(eye)
-    inverse = _inverse_distance(in_range, viewer, position.vector)
+    inverse = stage.each(_inverse_distance, viewer, position.vector, has_forms=True)
     to_viewer = stage.each(_directions, eye, position.stacked(), derived=(inverse,))
-    distance = stage.each(partial(_distance, in_range is True), viewer, position.vector, derived=(inverse,))
+    distance = stage.each(_distance, viewer, position.vector, derived=(inverse,), has_forms=True)
     unit_normal = stage.each(unit_planes, normal.stacked(), derived=(stage.each(inverse_length, normal.vector),))
     return _components(unit_normal), _components(to_viewer), distance
 
 
-def _inverse_distance(in_range: InRange, end: Vector, start: Vector) -> Array:
-    if isinstance(in_range, bool):
-        return (inverse_length_in_range if in_range else inverse_length)(stored(end) - stored(start))
-    return _inverse_distance_where(in_range, end, start)
-
-
-@jax.custom_jvp
-def _inverse_distance_where(in_range: Bool[Array, ""], end: Vector, start: Vector) -> Array:
-    return lax.cond(
-        in_range,
-        lambda: inverse_length_in_range(stored(end) - stored(start)),
-        lambda: inverse_length(stored(end) - stored(start)),
-    )
-
-
-def _inverse_distance_jvp(primals, tangents):
-    change = change_of(lambda end, start: inverse_length(stored(end) - stored(start)), primals[1:], tangents[1:])
-    return _inverse_distance_where(*primals), change
-
-
-# Of its own, or JAX would take the conditional apart wherever a derivative is taken, even if it is not by this.
-_inverse_distance_where.defjvp(_inverse_distance_jvp, symbolic_zeros=True)
+def _inverse_distance(end: Vector, start: Vector, *, ordinary: bool) -> Array:
+    return (inverse_length_in_range if ordinary else inverse_length)(end - start)
 
 
 def _components(planes: Float[Array, "3 ..."]) -> Vector:
@@ -128,8 +92,8 @@ def _directions(end: Array, start: Array, inverse: Array) -> Array:
     return unit_planes(end - start, inverse)
 
 
-def _distance(in_range: bool, end: Vector, start: Vector, inverse: Array) -> Array:
-    return (normalised_in_range if in_range else normalised)(end - start, inverse)[1]
+def _distance(end: Vector, start: Vector, inverse: Array, *, ordinary: bool) -> Array:
+    return normalised(end - start, inverse, ordinary)[1]
 
 
 class Received(NamedTuple):
@@ -146,7 +110,6 @@ class Received(NamedTuple):
 
 def received(
     stage: Stage,
-    in_range: InRange,
     lights: WorldLights,
     tile: Geometry,
     material: MaterialRow,
@@ -158,7 +121,7 @@ def received(
 
     `highlight` None: no specular term.
     """
-    aspect = _aspect(stage, in_range, lights, tile, highlight)
+    aspect = _aspect(stage, lights, tile, highlight)
     reaching = _reaching(stage, lights, tile, aspect)
     ambient = None if lights.ambient is None else (lights.ambient, material.ambient_intensity)
     exponent = power = None
@@ -220,18 +183,16 @@ class Aspect(NamedTuple):
     """Between -L and the axis of a spotlight; None: no cone."""
 
 
-def _aspect(
-    stage: Stage, in_range: InRange, lights: WorldLights, tile: Geometry, highlight: Highlight | None
-) -> Aspect:
+def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, highlight: Highlight | None) -> Aspect:
     """How a tile sees lights.
 
     The vectors to the lights are never stored: three planes cost more to keep than to compute anew from 1 / d_L.
     """
     place, position, inverse = lights.place, tile.position, None
     if place is not None:
-        inverse = _inverse_distance(in_range, place, position)
+        inverse = stage.each(_inverse_distance, place, position, has_forms=True)
     return stage.each(
-        partial(_seen, highlight, lights.asks_distance and lights.to_local is None, in_range is True),
+        partial(_seen, highlight, lights.asks_distance and lights.to_local is None),
         lights.towards,
         place,
         position,
@@ -241,26 +202,25 @@ def _aspect(
         derived=(inverse,),
         wide=(0, 1, 2, 3, 4, 5),
         shared=None if highlight is None else partial(_slopes, highlight),
-        less=None if highlight is None else highlight.fewer_slopes,
+        has_forms=True,
         of_numbers=True,
     )
 
 
 def _light_vector(
-    towards: Vector | None, place: Vector | None, position: Vector, inverse: Array | None, in_range: bool = False
+    towards: Vector | None, place: Vector | None, position: Vector, inverse: Array | None, ordinary: bool
 ) -> tuple[Vector, Array | None]:
     """L, and d_L for lights that have a place."""
     if place is None:
         assert towards is not None
         return towards, None
     assert inverse is not None
-    return (normalised_in_range if in_range else normalised)(place - position, inverse)
+    return normalised(place - position, inverse, ordinary)
 
 
 def _seen(
     highlight: Highlight | None,
     asks_distance: bool,
-    in_range: bool,
     towards: Vector | None,
     place: Vector | None,
     position: Vector,
@@ -269,13 +229,18 @@ def _seen(
     axis: Vector | None,
     inverse: Array | None,
     slopes: Any = None,
+    *,
+    ordinary: bool,
 ) -> Aspect:
     """`inverse`: 1 / d_L; `slopes`: what `_slopes` gives, for derivatives."""
-    l, distance = _light_vector(towards, place, position, inverse, in_range)
+    l, distance = _light_vector(towards, place, position, inverse, ordinary)
     alignment = None
     if highlight is not None and to_viewer is not None:
         seen = (normal, l, to_viewer)
-        alignment = highlight.alignment(*seen) if slopes is None else highlight.known_alignment(slopes, *seen)
+        if slopes is None:
+            alignment = highlight.alignment(*seen, ordinary)
+        else:
+            alignment = highlight.known_alignment(ordinary, slopes, *seen)
     return Aspect(
         facing=dot(normal, l),
         alignment=alignment,
@@ -294,11 +259,13 @@ def _slopes(
     to_viewer: Vector | None,
     axis: Vector | None,
     inverse: Array | None,
+    *,
+    ordinary: bool,
 ) -> Any:
     """`Highlight.slopes` of what `_seen` gives."""
-    l, _ = _light_vector(towards, place, position, inverse)
+    l, _ = _light_vector(towards, place, position, inverse, ordinary)
     assert to_viewer is not None and aspect.alignment is not None
-    return highlight.slopes(aspect.alignment, normal, l, to_viewer)
+    return highlight.slopes(aspect.alignment, normal, l, to_viewer, ordinary)
 
 
 def _reaching(stage: Stage, lights: WorldLights, tile: Geometry, aspect: Aspect) -> Array | None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from functools import partial, reduce
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from .elementary import STEEPEST, power_of_two_above, reciprocal_of_power_of_two, reciprocal_root, second_factor
 
@@ -66,9 +66,14 @@ def unit(v: Vector) -> tuple[Vector, Array]:
 _LIFT = {jnp.dtype("float32"): 2.0**64, jnp.dtype("float64"): 2.0**512}
 
 
-@jax.custom_jvp
-def normalised(v: Vector, inverse: Array) -> tuple[Vector, Array]:
-    """v / |v| and |v|, given `inverse` = 1 / |v| (or 0 for the zero vector) of this very v."""
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def normalised(v: Vector, inverse: Array, in_range: bool = False) -> tuple[Vector, Array]:
+    """v / |v| and |v|, given `inverse` = 1 / |v| (or 0 for the zero vector) of this very v.
+
+    `in_range`: the square of v is known to be a normal number.
+    """
+    if in_range:
+        return v.scaled(inverse), dot(v, v) * inverse
     u = v.scaled(inverse)
     # Of a tiny vector the products with small components of u would underflow.
     lift = _LIFT[inverse.dtype]
@@ -77,20 +82,14 @@ def normalised(v: Vector, inverse: Array) -> tuple[Vector, Array]:
 
 
 @normalised.defjvp
-def _normalised_jvp(primals, tangents):
+def _normalised_jvp(in_range, primals, tangents):
     """d|v| = u . dv;  du = dv / |v| - u (u . dv) / |v|. The change of `inverse` is part of that.
 
     Divided first, and so last in reverse mode: 1 / |v| may be 1e-37, and a product with it lost before the difference.
     """
     (v, inverse), (dv, _) = primals, tangents
     u, length = _normalised_once(v, inverse)
-    return (u, length), _turned(u, dv, jnp.minimum(inverse, STEEPEST[inverse.dtype]))
-
-
-def normalised_in_range(v: Vector, inverse: Array) -> tuple[Vector, Array]:
-    """`normalised`, to the last bit, of vectors whose squares are known to be in range; not to be differentiated."""
-    u = v.scaled(inverse)
-    return u, dot(v, u)
+    return (u, length), _turned(u, dv, inverse if in_range else jnp.minimum(inverse, STEEPEST[inverse.dtype]))
 
 
 @jax.custom_jvp
@@ -161,29 +160,20 @@ def inverse_length(v: Vector) -> Array:
     """
     largest = jnp.maximum(jnp.maximum(jnp.abs(v.x), jnp.abs(v.y)), jnp.abs(v.z))
     scale = reciprocal_of_power_of_two(power_of_two_above(largest))
-    return _inverse_root(v.scaled(scale)) * scale
+    return inverse_length_unscaled(v.scaled(scale)) * scale
+
+
+@jax.custom_jvp
+def inverse_length_unscaled(v: Vector) -> Array:
+    """`inverse_length` of vectors whose squares do not overflow; 0 if the square is no normal number."""
+    squared = dot(v, v)
+    return jnp.where(squared < jnp.finfo(squared.dtype).tiny, 0.0, reciprocal_root(squared))
 
 
 @jax.custom_jvp
 def inverse_length_in_range(v: Vector) -> Array:
-    """`inverse_length`, the same to the last bit, of vectors whose squares are known to be in range."""
-    return _inverse_root(v)
-
-
-def squares_in_range(place: Vector, low: Vector, high: Vector) -> Bool[Array, "..."]:
-    """Whether the squared distance from `place` to whatever lies between `low` and `high` is surely a normal number."""
-    nearest, farthest = [], []
-    for component, below, above in zip(place, low, high, strict=True):
-        before, behind = below - component, component - above
-        nearest.append(jnp.maximum(before, behind))
-        farthest.append(jnp.maximum(jnp.abs(before), jnp.abs(behind)))
-    safe = jnp.finfo(low.x.dtype).max ** 0.4
-    return (reduce(jnp.maximum, nearest) > 1 / safe) & (reduce(jnp.maximum, farthest) < safe)
-
-
-def _inverse_root(v: Vector) -> Array:
-    squared = dot(v, v)
-    return jnp.where(squared < jnp.finfo(squared.dtype).tiny, 0.0, reciprocal_root(squared))
+    """`inverse_length` of vectors whose squares are known to be normal numbers."""
+    return reciprocal_root(dot(v, v))
 
 
 def _inverse_length_jvp(function, primals, tangents):
@@ -194,4 +184,5 @@ def _inverse_length_jvp(function, primals, tangents):
 
 
 inverse_length.defjvp(partial(_inverse_length_jvp, inverse_length))
+inverse_length_unscaled.defjvp(partial(_inverse_length_jvp, inverse_length_unscaled))
 inverse_length_in_range.defjvp(partial(_inverse_length_jvp, inverse_length_in_range))
