@@ -14,6 +14,7 @@ from collections.abc import Callable
 from functools import partial, reduce
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.experimental.layout import Layout, with_layout_constraint
@@ -21,6 +22,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .elementary import arctangent
 from .ordinary import for_all_mapped, ordinary_lights
+from .picking import picked
 from .stages import Stage
 from .terms import Received
 from .vectors import Vector, cross, dot
@@ -152,16 +154,10 @@ def _received_from_listed(
         entry = (number * CHUNK + jnp.arange(CHUNK))[:, None]
         row = stage(_listed_rows, words, entry)
 
-        def at_rows(plane: Array) -> Array:
-            return plane[:, 0, 0].at[row].get(mode="promise_in_bounds")
-
-        def colors_at_rows(colors: Array) -> Array:
-            # From one row of numbers: each component by itself, XLA would put them together element by element.
-            place = row + lights.count * jnp.arange(3)[:, None, None]
-            return jnp.where(entry < length, colors.reshape(-1).at[place].get(mode="promise_in_bounds"), 0.0)
-
         def listed_lights() -> WorldLights:
-            return lights.with_planes(at_rows, colors_at_rows)
+            numbers, tree = jax.tree.flatten(lights)
+            some = tree.unflatten(picked([plane[..., 0, 0] for plane in numbers], row))
+            return dataclasses.replace(some, color=jnp.where(entry < length, some.color, 0.0))
 
         some = stage(listed_lights)
         some = some.with_planes(partial(_with_axis, axis=1), partial(_with_axis, axis=2))

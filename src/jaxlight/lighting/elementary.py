@@ -145,7 +145,7 @@ def _ratio_jvp(primals, tangents):
 
 @jax.custom_jvp
 def exp(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """e^x for x <= 0; results below the smallest normal number are 0, or subnormal where processors do not flush them."""
+    """e^x for x <= 0; what is below the smallest normal number is 0, or subnormal where it is not flushed."""
     if x.dtype != jnp.float32:
         return jnp.exp(x)
     power_of_two, fraction = _reduced_exp(x)
