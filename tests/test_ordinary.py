@@ -14,7 +14,6 @@ import pytest
 from fit_scenes import precision
 from jaxlight import Scene, nodes
 from jaxlight.lighting import make_plan, one_tile, ordinary, prepared, shade
-from jaxlight.lighting.plan import LightPlan
 from jaxlight.lighting.vectors import Vector
 from jaxlight.lighting.world import WorldLights, lights_in_world
 from jaxlight.raster import SampleBuffer
@@ -24,23 +23,14 @@ BOXES = 400
 
 def world_lights(kind: str, where: np.ndarray) -> WorldLights:
     """Point lights at, or directional lights towards, these places [lights, 3]."""
-    if kind == "point":
-        group = Scene.from_nodes([nodes.PointLight(location=place) for place in where], dtype=np.float64).point
-    else:
-        group = Scene.from_nodes([nodes.DirectionalLight(direction=-place) for place in where], dtype=np.float64)
-        group = group.directional
-    assert group is not None
-    plan = LightPlan(
-        rows=None,
-        headlight=False,
-        frame="identity",
-        ambient=False,
-        scoped=False,
-        attenuation=None,
-        radius=False,
-        culled=False,
-    )
-    return lights_in_world(group, plan, jnp.dtype("float64"), None, 1)
+    make = {
+        "point": lambda place: nodes.PointLight(location=place),
+        "directional": lambda place: nodes.DirectionalLight(direction=-place),
+    }[kind]
+    shape = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()))
+    scene = Scene.from_nodes([shape, *map(make, where)], dtype=np.float64)
+    lights, plan = getattr(scene, kind), getattr(make_plan(scene), kind)
+    return lights_in_world(lights, plan, jnp.dtype("float64"), None, 1)
 
 
 def vector(rows: np.ndarray) -> Vector:
