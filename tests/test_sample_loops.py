@@ -26,6 +26,7 @@ FUNCTIONS: dict[str, Callable[[jax.Array, jax.Array, jax.Array], Any]] = {
     "arithmetic": lambda a, b, c: a * b - c / a,
     "axes": lambda a, b, c: (a.T[:, None] + b[:, None, None], jnp.moveaxis(a, 0, 1).reshape(2, 3)),
     "parts": lambda a, b, c: (a[1, ::2], a[-1], b[None, 1:], jnp.squeeze(a[:1])),
+    "taken apart": lambda a, b, c: (*a, *jnp.unstack(a, axis=1), *jnp.unstack(b)),
     "joined": lambda a, b, c: (jnp.stack([b, a[0]], axis=1), jnp.concatenate([a, b[None]])),
     "sums": lambda a, b, c: (jnp.sum(a), jnp.sum(a, axis=0), jnp.sum(a * b, axis=-1)),
     "choices": lambda a, b, c: jnp.where((a > 1) & (b < c), jnp.sqrt(a), jnp.maximum(a, b)),

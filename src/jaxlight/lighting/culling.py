@@ -233,7 +233,7 @@ def _rows_of_flags(
 
     `ends`: how many flags are set up to the end of each word.
     """
-    at = jnp.minimum(jnp.searchsorted(ends, number, side="right", method="scan_unrolled"), len(words) - 1)
+    at = jnp.minimum(jnp.sum(ends[:, None] <= number, axis=0), len(words) - 1)
     word = words[at]
     return _row_of(at, _bit_of_flag(word, number - ends[at] + _count_of_flags(word)), lights)
 

@@ -135,10 +135,10 @@ def _batched(
 ) -> Any:
     which, *operands = operands
     axis, *axes = axes
-    which = which if axis is batching.not_mapped else jnp.max(which)
-    if all(axis is batching.not_mapped for axis in axes):
+    which = which if axis is None else jnp.max(which)
+    if all(axis is None for axis in axes):
         results = _linear_stage.bind(which, *operands, jaxprs=jaxprs, known=known, gradients=gradients, quick=quick)
-        return results, [batching.not_mapped] * len(results)
+        return results, [None] * len(results)
 
     def mapped(jaxpr: ClosedJaxpr, here: list[Array], there: list[Array]) -> Any:
         return jax.vmap(jaxpr_as_fun(jaxpr), in_axes=axes)(*here, *there)
@@ -147,7 +147,7 @@ def _batched(
         in_axes = (*axes[:known], *([0] * len(back)))
         found = jax.vmap(jaxpr_as_fun(jaxpr), in_axes=in_axes)(*here, *back)
         return [
-            jnp.sum(own, axis=0) if axis is batching.not_mapped else jnp.moveaxis(own, 0, axis)
+            jnp.sum(own, axis=0) if axis is None else jnp.moveaxis(own, 0, axis)
             for axis, own in zip(axes[known:], found, strict=True)
         ]
 

@@ -71,17 +71,16 @@ def _lowered_map(context: Any, *operands: Any, jaxpr: ClosedJaxpr) -> Any:
     inside = context.replace(avals_in=jaxpr.in_avals, avals_out=jaxpr.out_avals)
     with ir.InsertionPoint(block):
         function = mlir.lower_fun(jaxpr_as_fun(jaxpr), multiple_results=True)
-        stablehlo.ReturnOp(mlir.flatten_ir_values(function(inside, *block.arguments)))
+        stablehlo.ReturnOp(jax.tree.leaves(function(inside, *block.arguments)))
     return operation.results
 
 
 def _batched(
     planes: Sequence[Array], axes: Sequence[Any], *, jaxpr: ClosedJaxpr, shape: tuple[int, ...]
 ) -> tuple[Array, int]:
-    sizes = [plane.shape[axis] for plane, axis in zip(planes, axes, strict=True) if axis is not batching.not_mapped]
+    sizes = [plane.shape[axis] for plane, axis in zip(planes, axes, strict=True) if axis is not None]
     moved = [
-        plane[None] if axis is batching.not_mapped else jnp.moveaxis(plane, axis, 0)
-        for plane, axis in zip(planes, axes, strict=True)
+        plane[None] if axis is None else jnp.moveaxis(plane, axis, 0) for plane, axis in zip(planes, axes, strict=True)
     ]
     return _one_loop.bind(*moved, jaxpr=jaxpr, shape=(sizes[0], *shape)), 0
 

@@ -1,7 +1,8 @@
 """Which tiles are ordinary: squared distances to the viewer and to all lights are normal numbers, and directions to
 the viewer and to a light are less than 120 degrees apart. The equation takes care of all others, at a price.
 
-Rounding of what is computed here decides nothing: a little beyond these bounds the equation is accurate in both forms.
+Colours of samples that are ordinary themselves come from the same operations in both forms: they do not depend on their
+neighbours. Rounding of what is computed here decides nothing.
 """
 
 from __future__ import annotations

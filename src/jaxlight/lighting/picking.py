@@ -70,8 +70,7 @@ def _transpose(cotangents: Sequence[Any], row: Array, *numbers: Any) -> list[Any
 
 
 def _batched(operands: Sequence[Any], axes: Sequence[Any]) -> tuple[list[Array], list[int]]:
-    axes = [None if axis is batching.not_mapped else axis for axis in axes]
-    results = jax.vmap(_pick, in_axes=axes)(*operands)
+    results = jax.vmap(_pick, in_axes=list(axes))(*operands)
     return results, [0] * len(results)
 
 

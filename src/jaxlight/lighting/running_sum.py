@@ -95,7 +95,6 @@ def _batched(operands: Sequence[Any], axes: Sequence[Any], *, jaxpr: ClosedJaxpr
     def term(number: Array, count: Array, *given: Array) -> list[Array]:
         return [jnp.where(number < count, one, 0.0) for one in jaxpr_as_fun(jaxpr)(number, *given)]
 
-    axes = [None if axis is batching.not_mapped else axis for axis in axes]
     if axes[0] is None:
         results = _sum(jax.vmap(jaxpr_as_fun(jaxpr), in_axes=(None, *axes[1:])), count, given)
     else:

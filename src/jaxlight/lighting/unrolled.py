@@ -71,6 +71,9 @@ def _applied(equation: Any, operands: list[Elements]) -> list[Elements]:
     shape = equation.outvars[0].aval.shape
     if name in _MOVES:
         return [_MOVES[name](operands, shape, params)]
+    if name == "unstack":  # what later releases of JAX make of an array that is taken apart
+        parts = np.moveaxis(operands[0], params["axis"], 0)
+        return [parts[number : number + 1].reshape(shape) for number in range(len(parts))]
     if name == "reduce_sum":
         kept = [axis for axis in range(operands[0].ndim) if axis not in params["axes"]]
         rows = operands[0].transpose(*kept, *params["axes"]).reshape(math.prod(shape), -1)

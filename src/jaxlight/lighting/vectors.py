@@ -70,11 +70,11 @@ _LIFT = {jnp.dtype("float32"): 2.0**64, jnp.dtype("float64"): 2.0**512}
 def normalised(v: Vector, inverse: Array, in_range: bool = False) -> tuple[Vector, Array]:
     """v / |v| and |v|, given `inverse` = 1 / |v| (or 0 for the zero vector) of this very v.
 
-    `in_range`: the square of v is known to be a normal number.
+    `in_range`: the square of v is known to be a normal number; the same to the last bit, with less to do.
     """
-    if in_range:
-        return v.scaled(inverse), dot(v, v) * inverse
     u = v.scaled(inverse)
+    if in_range:
+        return u, dot(v, u)
     # Of a tiny vector the products with small components of u would underflow.
     lift = _LIFT[inverse.dtype]
     tiny = inverse > math.sqrt(lift)
@@ -137,13 +137,15 @@ def _turned(u: Vector, dv: Vector, inverse: Array) -> tuple[Vector, Array]:
 
 @jax.custom_jvp
 def half_vector(l: Vector, v: Vector) -> Vector:
-    """l + v of unit (or zero) vectors, at right angles to l - v as it must be if neither is zero.
+    """l + v of unit (or zero) vectors; where these point apart, at right angles to l - v as it must be.
 
     Close to l = -v the rounding of their lengths is all that l + v has along l - v, and turns it.
     """
     total, difference = l + v, l - v
     excess = dot(total, difference)  # |l|^2 - |v|^2
-    return total - difference.scaled(jnp.where(jnp.abs(excess) < 0.5, 0.25 * excess, 0.0))
+    # Of ordinary tiles, which know no such vectors, nothing is more than rounding beyond 3.
+    apart = dot(difference, difference) > 3.25
+    return total - difference.scaled(jnp.where(apart, 0.25 * excess, 0.0))
 
 
 @half_vector.defjvp
@@ -172,7 +174,7 @@ def inverse_length_unscaled(v: Vector) -> Array:
 
 @jax.custom_jvp
 def inverse_length_in_range(v: Vector) -> Array:
-    """`inverse_length` of vectors whose squares are known to be normal numbers."""
+    """`inverse_length`, to the last bit, of vectors whose squares are known to be normal numbers."""
     return reciprocal_root(dot(v, v))
 
 
