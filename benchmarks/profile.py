@@ -1,7 +1,7 @@
 """Where the time goes: the loops of one call, by stage of the equation. `python -m benchmarks.profile --help`.
 
 XLA's own trace, on one core; loops are told by the scopes that `lighting/stages.py` gives them. What is in no stage
-goes by the operation it ends with.
+goes by the operation it ends with: "while" is a loop with all that is in it, of which later JAX tells no more.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import re
 import statistics
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +26,6 @@ from .settings import Settings
 from .worker import pin
 from .workload import Workload, make_arrays
 
-_CONTROL = re.compile(r"^(while|cond|call|closed_call|Thunk|end:|\$)")
-"""Events that only hold others."""
 _INSTRUCTION = re.compile(r'^\s*(?:ROOT )?%?([\w.\-]+) = [^\n]*op_name="([^"]*)"', re.MULTILINE)
 _SHOWN = 0.01
 """Smaller shares are added up."""
@@ -75,33 +73,39 @@ def stage_shares(
     call, program = contender.compiled(operation)
     for _ in range(rounds):
         call()
-    durations = _durations(call, rounds)
     names = dict(_INSTRUCTION.findall(program))
+    durations = _durations(call, rounds, names)
     times: dict[str, float] = collections.defaultdict(float)
     loops: dict[str, int] = collections.defaultdict(int)
     for instruction, own in durations.items():
-        if instruction in names and not _CONTROL.match(instruction):
-            # The median: a core that does something else in between is no part of it.
-            times[_stage(names[instruction])] += statistics.median(own) * len(own) / rounds
-            loops[_stage(names[instruction])] += 1
+        # The median: a core that does something else in between is no part of it.
+        times[_stage(names[instruction])] += statistics.median(own) * len(own) / rounds
+        loops[_stage(names[instruction])] += 1
     total = sum(times.values())
     return {name: (time / total, loops[name]) for name, time in times.items()}, 1e3 * total / work.light_samples
 
 
-def _durations(call: Callable[[], Any], rounds: int) -> Mapping[str, list[float]]:
-    """How long every event of so many calls took, each time, in microseconds."""
+def _durations(call: Callable[[], Any], rounds: int, instructions: Collection[str]) -> Mapping[str, list[float]]:
+    """How long each of the instructions took, each time in so many calls, in microseconds; not what holds others."""
     import jax
 
-    found = collections.defaultdict(list)
     with tempfile.TemporaryDirectory() as folder:
         with jax.profiler.trace(folder, create_perfetto_trace=True):
             for _ in range(rounds):
                 call()  # its result is let go, so that the next one finds memory that is there already
         (path,) = Path(folder).rglob("perfetto_trace.json.gz")
-        for event in json.loads(gzip.decompress(path.read_bytes()))["traceEvents"]:
-            if event.get("ph") == "X":
-                found[event["name"]].append(event["dur"])
+        events = json.loads(gzip.decompress(path.read_bytes()))["traceEvents"]
+    own = [event for event in events if event.get("ph") == "X" and event["name"] in instructions]
+    own.sort(key=lambda event: (event["tid"], event["ts"], -event["dur"]))
+    found = collections.defaultdict(list)
+    for event, following in zip(own, [*own[1:], None], strict=True):
+        if following is None or not _holds(event, following):
+            found[event["name"]].append(event["dur"])
     return found
+
+
+def _holds(event: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    return event["tid"] == other["tid"] and other["ts"] < event["ts"] + event["dur"]
 
 
 def _stage(name: str) -> str:

@@ -201,13 +201,13 @@ def test_fits_start_away_from_the_truth_and_are_judged_by_it() -> None:
 @pytest.mark.parametrize(
     ("lights", "operation", "names"),
     [
-        (1, "forward", {"rgb"}),
-        (9, "forward", {"directions", "received", "mixed"}),
-        (1, "value_and_gradient", {"seen.alignment", "power", "colored", "seen.change (reverse)"}),
+        (1, "forward", ["rgb"]),
+        (9, "forward", ["directions", "received|no stage: while", "mixed"]),
+        (1, "value_and_gradient", ["seen.alignment", "power", "colored", "seen.change (reverse)"]),
     ],
 )
-def test_a_profile_tells_loops_and_stages_apart(lights: int, operation: Operation, names: set[str]) -> None:
+def test_a_profile_tells_loops_and_stages_apart(lights: int, operation: Operation, names: list[str]) -> None:
     shares, nanoseconds = stage_shares(Workload(2**13, lights), operation, "full", rounds=3)
-    assert names <= set(shares)
+    assert all(set(either.split("|")) & set(shares) for either in names)
     assert sum(share for share, _ in shares.values()) == pytest.approx(1)
     assert nanoseconds > 0 and all(loops > 0 for _, loops in shares.values())

@@ -108,8 +108,10 @@ _MOVES: dict[str, Callable[[list[Elements], tuple[int, ...], dict[str, Any]], El
     "stack": lambda operands, shape, params: np.stack(operands, axis=params["axis"]),
     "concatenate": lambda operands, shape, params: np.concatenate(operands, axis=params["dimension"]),
 }
-_ARITHMETIC = {"abs", "add", "clamp", "div", "floor", "integer_pow", "max", "min", "mul", "neg", "rem", "round", "sign"}
-_FUNCTIONS = {"atan2", "cos", "exp", "exp2", "expm1", "log", "log1p", "pow", "rsqrt", "sin", "sqrt", "square", "tanh"}
+_ARITHMETIC = {"abs", "add", "add_any", "div", "max", "min", "mul", "neg", "rem", "sign", "sub"}
+_ROUNDED = {"clamp", "convert_element_type", "copy", "floor", "round"}
+_FUNCTIONS = {"atan2", "cos", "integer_pow", "rsqrt", "sin", "sqrt", "square", "tanh"}
+_POWERS = {"exp", "exp2", "expm1", "log", "log1p", "log2", "pow"}
 _CHOICES = {"and", "eq", "ge", "gt", "is_finite", "le", "lt", "ne", "not", "or", "select_n", "xor"}
 _BITS = {"bitcast_convert_type", "shift_left", "shift_right_arithmetic", "shift_right_logical"}
-_ELEMENTWISE = _ARITHMETIC | _FUNCTIONS | _CHOICES | _BITS | {"add_any", "convert_element_type", "copy", "sub"}
+_ELEMENTWISE = _ARITHMETIC | _ROUNDED | _FUNCTIONS | _POWERS | _CHOICES | _BITS
