@@ -17,6 +17,8 @@ from jaxlight.fit.problem import Problem, make_problem
 
 SIZE = 24
 FREE = ["Material[body].*", "PointLight[key].location", "PointLight[key].attenuation"]
+FEW = ["Material[body].diffuse_color", "Material[body].transparency", "PointLight[key].intensity"]
+"""For what is about residuals: quickly compiled."""
 
 
 def scene(dtype: Any, small: int = 0, every_kind: bool = False) -> Scene:
@@ -85,6 +87,8 @@ def problem(kind: str, dtype: Any) -> Problem:
         ],
         "two views of different size": [plain, View(sphere_samples(SIZE // 2, dtype=dtype), sphere_picture(SIZE // 2))],
     }.get(kind, [plain])
+    if kind in ("weights and mask", "background", "sensor limits", "cauchy", "two views of different size"):
+        free = list(FEW)
     if kind.startswith("two views"):
         free += ["View[*].exposure"]
     if kind in ("huber", "cauchy"):

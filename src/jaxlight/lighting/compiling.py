@@ -1,14 +1,13 @@
 """How programs are compiled: what is asked of XLA's CPU backend.
 
-Left to itself XLA uses 256 of the 512 bits of x86 registers, and is up to half slower; and it orders what it does so
-that as much as possible could run at the same time, for which more arrays have to be in memory. JAX takes compiler
-options only where no other transformation is at work.
+JAX takes compiler options only where no other transformation is at work.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar, cast
 
 import equinox as eqx
@@ -17,10 +16,29 @@ from jax.core import Tracer
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-CPU_OPTIONS = {
+WANTED: Mapping[str, Any] = {
+    # Left to itself XLA uses 256 of the 512 bits of x86 registers, and is up to half slower.
     "xla_cpu_prefer_vector_width": 512,
+    # It orders what it does so that as much as possible could run at the same time: more arrays are in memory then.
     "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
+    # It gives sums to a library, whose calls, with JAX 0.12, take up to a hundred times as long as its own loops.
+    "xla_cpu_experimental_ynn_fusion_type": "LIBRARY_FUSION_TYPE_DOT",
 }
+
+
+@functools.cache
+def cpu_options() -> Mapping[str, Any]:
+    """Of the options that are wanted those that the installed release of XLA knows; their names are no promise."""
+    return {name: value for name, value in WANTED.items() if _is_known(name, value)}
+
+
+def _is_known(name: str, value: Any) -> bool:
+    with jax.default_device(jax.devices("cpu")[0]):
+        try:
+            jax.jit(lambda: 0, compiler_options={name: value}).lower().compile()
+        except jax.errors.JaxRuntimeError:
+            return False
+    return True
 
 
 def compiler_options() -> dict[str, Any]:
@@ -29,7 +47,24 @@ def compiler_options() -> dict[str, Any]:
     On the CPU they make it quicker, and its peak of memory lower; elsewhere there are none. `shade` and `fit` ask for
     them by themselves where they are called outside jit.
     """
-    return dict(CPU_OPTIONS) if jax.default_backend() == "cpu" else {}
+    return dict(cpu_options()) if jax.default_backend() == "cpu" else {}
+
+
+def jit_on_cpu(function: Callable[..., Any], **how: Any) -> Callable[..., Any]:
+    """`jax.jit` of what is called outside all transformations and runs on the CPU."""
+    lock = threading.Lock()
+
+    @functools.cache
+    def compiled() -> Callable[..., Any]:
+        return jax.jit(function, compiler_options=dict(cpu_options()), **how)
+
+    @functools.wraps(function)
+    def call(*arguments: Any) -> Any:
+        with lock:  # threads that call it at the same time share what is compiled
+            own = compiled()
+        return own(*arguments)
+
+    return call
 
 
 def quick_jit(function: _Function) -> _Function:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from ..raster.samples import SampleBuffer
 from ..scene import Scene
 from .changes import with_change
-from .compiling import CPU_OPTIONS
+from .compiling import jit_on_cpu
 from .cores import in_threads, shares_of
 from .options import LightingOptions
 from .plan import Plan, make_plan
@@ -120,10 +120,10 @@ def _in_one(runs: list[Array], tile: int, dtype: jnp.dtype) -> Float[Array, "til
 
 
 _shade_tiles = jax.jit(_tiles_of, static_argnums=0)
-_shade_tiles_on_cpu = jax.jit(_tiles_of, static_argnums=0, compiler_options=CPU_OPTIONS)
+_shade_tiles_on_cpu = jit_on_cpu(_tiles_of, static_argnums=0)
 
 
-@partial(jax.jit, static_argnames=("plan", "shares"), compiler_options=CPU_OPTIONS)
+@partial(jit_on_cpu, static_argnames=("plan", "shares"))
 def _shade_share(scene: Scene, samples: SampleBuffer, plan: Plan, number: Int[Array, ""], shares: int) -> list[Array]:
     return _colors_alone(plan, scene, samples, Share(number, shares))
 

@@ -1,0 +1,41 @@
+"""What is asked of XLA's CPU backend."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxlight import SampleBuffer, Scene, compiler_options, nodes
+from jaxlight.lighting import compiling, shade_tiles
+
+
+@pytest.fixture
+def asked_anew() -> Iterator[None]:
+    compiling.cpu_options.cache_clear()
+    yield
+    compiling.cpu_options.cache_clear()
+
+
+def test_options_that_xla_does_not_know_are_not_asked_for(asked_anew: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiling, "WANTED", {"xla_cpu_no_such_option": 1, "xla_cpu_prefer_vector_width": 512})
+    assert compiler_options() == {"xla_cpu_prefer_vector_width": 512}
+
+
+def test_sums_of_a_gradient_are_loops_of_xla() -> None:
+    lamps = [nodes.PointLight(location=(x, 0, 4), ambient_intensity=0.1) for x in (-1.0, 1.0)]
+    shape = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()), geometry=nodes.Sphere())
+    free, fixed = eqx.partition(Scene.from_nodes([shape, *lamps]), eqx.is_inexact_array)
+    points = np.random.default_rng(3).normal(size=(2**13, 3))
+    samples = SampleBuffer.create(points, points, [0, 0, 6])
+
+    def loss(free: Scene) -> jax.Array:
+        return jnp.sum(shade_tiles(eqx.combine(free, fixed), samples) ** 2)
+
+    program = jax.jit(jax.grad(loss), compiler_options=compiler_options()).lower(free).compile().as_text() or ""
+    assert "reduce" in program
+    assert "ynn" not in program
