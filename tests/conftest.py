@@ -22,14 +22,15 @@ gc.set_threshold(
     100_000
 )  # tracing makes millions of objects that stay; to go through all of them over and over takes long
 _numbers = itertools.count()
+PRECISION: bool = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @pytest.fixture(autouse=True)
 def own_precision() -> Iterator[None]:
-    """The command line, called in this process, switches double precision on for good."""
-    before = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+    """The command line, called in this process by a test or by a fixture of its file, switches double precision on."""
+    jax.config.update("jax_enable_x64", PRECISION)
     yield
-    jax.config.update("jax_enable_x64", before)
+    jax.config.update("jax_enable_x64", PRECISION)
 
 
 @pytest.fixture(autouse=True)

@@ -87,7 +87,7 @@ def problem(kind: str, dtype: Any) -> Problem:
         ],
         "two views of different size": [plain, View(sphere_samples(SIZE // 2, dtype=dtype), sphere_picture(SIZE // 2))],
     }.get(kind, [plain])
-    if kind in ("weights and mask", "background", "sensor limits", "cauchy", "two views of different size"):
+    if kind in ("background", "sensor limits", "cauchy", "two views of different size"):
         free = list(FEW)
     if kind.startswith("two views"):
         free += ["View[*].exposure"]
