@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -26,12 +27,16 @@ def test_options_that_xla_does_not_know_are_not_asked_for(asked_anew: None, monk
     assert compiler_options() == {"xla_cpu_prefer_vector_width": 512}
 
 
-def test_sums_of_a_gradient_are_loops_of_xla() -> None:
-    lamps = [nodes.PointLight(location=(x, 0, 4), ambient_intensity=0.1) for x in (-1.0, 1.0)]
+def scene_and_samples(lights: int, count: int = 2**13) -> tuple[Scene, SampleBuffer]:
+    lamps = [nodes.PointLight(location=(x, 0, 4), ambient_intensity=0.1) for x in np.linspace(-1, 1, lights)]
     shape = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()), geometry=nodes.Sphere())
-    free, fixed = eqx.partition(Scene.from_nodes([shape, *lamps]), eqx.is_inexact_array)
-    points = np.random.default_rng(3).normal(size=(2**13, 3))
-    samples = SampleBuffer.create(points, points, [0, 0, 6])
+    points = np.random.default_rng(3).normal(size=(count, 3))
+    return Scene.from_nodes([shape, *lamps]), SampleBuffer.create(points, points, [0, 0, 6])
+
+
+def test_sums_of_a_gradient_are_loops_of_xla() -> None:
+    scene, samples = scene_and_samples(2)
+    free, fixed = eqx.partition(scene, eqx.is_inexact_array)
 
     def loss(free: Scene) -> jax.Array:
         return jnp.sum(shade_tiles(eqx.combine(free, fixed), samples) ** 2)
@@ -39,3 +44,12 @@ def test_sums_of_a_gradient_are_loops_of_xla() -> None:
     program = jax.jit(jax.grad(loss), compiler_options=compiler_options()).lower(free).compile().as_text() or ""
     assert "reduce" in program
     assert "ynn" not in program
+
+
+@pytest.mark.parametrize("lights", [8, 12])
+def test_loops_over_samples_are_not_part_of_a_larger_function(lights: int) -> None:
+    """In one function with the loop over tiles, or over chunks of lights, they would be slower."""
+    scene, samples = scene_and_samples(lights, 2**15)
+    text = jax.jit(partial(shade_tiles, scene)).lower(samples).compile().as_text() or ""
+    assert "while" in text
+    assert "small_call" not in text

@@ -84,7 +84,9 @@ class SampleLoops(Stage):
         count = sum(math.prod(leaf.shape) for leaf in leaves)
 
         def never() -> Array:
-            return jnp.full((rows, self.lanes, count), self.always, leaves[0].dtype)
+            # XLA, since JAX 0.12, makes one function of a loop over tiles that holds no sort; this one is slower there.
+            value = lax.sort(jnp.stack([self.always, ~self.always]))[0]
+            return jnp.full((rows, self.lanes, count), value, leaves[0].dtype)
 
         def loop(ordinary: bool) -> Array:
             jaxpr = jax.make_jaxpr(lambda given: jax.tree.leaves(of_sample(ordinary, given)))(single)
