@@ -120,6 +120,32 @@ def test_compiled_is_eager() -> None:
     np.testing.assert_allclose(within, eager, rtol=tolerance, atol=tolerance)
 
 
+def test_what_is_shaded_may_be_closed_over() -> None:
+    """Scene and samples that a function is not given, but knows, are shaded in it as they are outside."""
+    scene, (position, normal) = spot_in_fog(), rows(50)
+    samples = SampleBuffer.create(position, normal, EYE)
+    alone = shade(scene, samples)
+    factors = jnp.array([1.0, 0.5])
+    tolerance = 40 * EPSILON["float32"]
+
+    def scaled(factor: jax.Array) -> jax.Array:
+        return factor * shade(scene, samples)
+
+    for mapped in (jax.jit(jax.vmap(scaled)), jax.vmap(scaled), lambda factors: jax.lax.map(scaled, factors)):
+        np.testing.assert_allclose(mapped(factors), factors[:, None, None] * alone, rtol=tolerance, atol=tolerance)
+    for changed in (jax.jit(jax.jacfwd(scaled)), jax.jit(jax.jacrev(scaled)), jax.jacfwd(scaled), jax.jacrev(scaled)):
+        np.testing.assert_allclose(changed(0.5), alone, rtol=tolerance, atol=tolerance)
+    assert jax.eval_shape(lambda: shade(scene, samples)).shape == alone.shape
+
+
+def test_samples_may_be_numpy_arrays() -> None:
+    """As `jax.device_get` gives them, or a file."""
+    scene, (position, normal) = spot_in_fog(), rows(50)
+    samples = SampleBuffer.create(position, normal, EYE)
+    np.testing.assert_array_equal(shade(scene, jax.device_get(samples)), shade(scene, samples))
+    np.testing.assert_array_equal(shade(jax.device_get(scene), samples), shade(scene, samples))
+
+
 # --- derivatives ------------------------------------------------------------------------------------------------------
 
 

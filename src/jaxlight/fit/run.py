@@ -21,10 +21,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from ..lighting.compiling import quick_jit
+from ..lighting.compiling import is_traced, quick_jit
 from ..lighting.cores import in_threads, shares_of
 from ..lighting.tiles import Share
 from . import normal
@@ -139,8 +138,7 @@ def advance(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState
 def _shares(problem: Problem, state: FitState) -> int:
     """Among how many cores the tiles of a step are divided; the same in all steps, which then share compiled code."""
     by_tiles = not problem.parameters.blocks and all(view.pixel is None for view in problem.views)
-    leaves = jax.tree.leaves((problem, state))
-    if not by_tiles or jax.default_backend() != "cpu" or any(isinstance(leaf, Tracer) for leaf in leaves):
+    if not by_tiles or jax.default_backend() != "cpu" or is_traced(problem, state):
         return 1
     return shares_of(sum(math.prod(view.root_weight.shape) // view.root_weight.shape[-2] for view in problem.views))
 

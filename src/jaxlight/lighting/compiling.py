@@ -12,6 +12,7 @@ from typing import Any, TypeVar, cast
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jax.core import Tracer
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -50,19 +51,33 @@ def compiler_options() -> dict[str, Any]:
     return dict(cpu_options()) if jax.default_backend() == "cpu" else {}
 
 
+def is_traced(*arguments: Any) -> bool:
+    """Whether arguments are traced, or what calls this is: a jit or loop may know arguments that it is not given."""
+    leaves = jax.tree.leaves(arguments)
+    return any(isinstance(leaf, Tracer) for leaf in leaves) or isinstance(jnp.zeros(()), Tracer)
+
+
+def _once(make: Callable[[], _Function]) -> Callable[[], _Function]:
+    """What `make` gives, made by the first call: threads that call at the same time share it."""
+    lock, cached = threading.Lock(), functools.cache(make)
+
+    def made() -> _Function:
+        with lock:
+            return cached()
+
+    return made
+
+
 def jit_on_cpu(function: Callable[..., Any], **how: Any) -> Callable[..., Any]:
     """`jax.jit` of what is called outside all transformations and runs on the CPU."""
-    lock = threading.Lock()
 
-    @functools.cache
+    @_once
     def compiled() -> Callable[..., Any]:
         return jax.jit(function, compiler_options=dict(cpu_options()), **how)
 
     @functools.wraps(function)
     def call(*arguments: Any) -> Any:
-        with lock:  # threads that call it at the same time share what is compiled
-            own = compiled()
-        return own(*arguments)
+        return compiled()(*arguments)
 
     return call
 
@@ -70,14 +85,14 @@ def jit_on_cpu(function: Callable[..., Any], **how: Any) -> Callable[..., Any]:
 def quick_jit(function: _Function) -> _Function:
     """`eqx.filter_jit` with `compiler_options`; under another transformation the function itself."""
 
-    @functools.cache
+    @_once
     def compiled() -> Callable[..., Any]:
         options: dict[str, Any] = {"compiler_options": compiler_options()}
         return eqx.filter_jit(function, **options)
 
     @functools.wraps(function)
     def call(*arguments: Any) -> Any:
-        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(arguments)):
+        if is_traced(arguments):
             return function(*arguments)
         return compiled()(*arguments)
 

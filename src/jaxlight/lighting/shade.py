@@ -8,13 +8,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from ..raster.samples import SampleBuffer
 from ..scene import Scene
 from .changes import with_change
-from .compiling import jit_on_cpu
+from .compiling import is_traced, jit_on_cpu
 from .cores import in_threads, shares_of
 from .options import LightingOptions
 from .plan import Plan, make_plan
@@ -137,10 +136,9 @@ def _joined(shares: list[list[Array]], lengths: tuple[int, ...], tile: int) -> A
 
 def _runs_alone_on_cpu(scene: Scene, samples: SampleBuffer) -> bool:
     """True outside jit, grad and vmap, on the CPU."""
-    leaves = jax.tree.leaves((scene, samples))
-    if any(isinstance(leaf, Tracer) for leaf in leaves):
+    if is_traced(scene, samples):
         return False
-    return all(device.platform == "cpu" for device in samples.position_planes.devices())
+    return all(device.platform == "cpu" for device in jnp.asarray(samples.position_planes).devices())
 
 
 def _without_document(scene: Scene) -> Scene:
