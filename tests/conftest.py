@@ -1,4 +1,5 @@
-"""For all tests: none leaves its precision behind, and compiled programs are let go before they are too many."""
+"""For all tests: none leaves its precision behind or depends on a clock or on chance; compiled programs are let go before
+they are too many."""
 
 from __future__ import annotations
 
@@ -11,6 +12,7 @@ from typing import Any
 
 import jax
 import pytest
+from hypothesis import settings
 
 from jaxlight.lighting import cores
 
@@ -21,6 +23,8 @@ EVERY = 8
 gc.set_threshold(
     100_000
 )  # tracing makes millions of objects that stay; to go through all of them over and over takes long
+settings.register_profile("same everywhere", deadline=None, derandomize=True)
+settings.load_profile("same everywhere")
 _numbers = itertools.count()
 PRECISION: bool = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
 

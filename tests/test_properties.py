@@ -20,7 +20,7 @@ from jaxlight.raster import SampleBuffer
 
 KINDS = ("directional", "point", "spot")
 SAMPLES = 6
-EXAMPLES = settings(max_examples=20, deadline=None, derandomize=True)
+EXAMPLES = settings(max_examples=20)
 CLOSE = 1e-11
 
 Numbers = dict[str, np.ndarray]

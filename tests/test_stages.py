@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.extend.core import jaxprs_in_params
-from jax.test_util import check_grads
 
 from jaxlight.lighting.linear_stage import linear_stage
 from jaxlight.lighting.stages import Stage
@@ -74,9 +73,28 @@ def test_a_stage_gives_values_and_reverse_derivatives_of_its_function(staged: An
 
 
 @FORMS
-def test_a_stage_agrees_with_differences_in_both_modes_and_both_orders(staged: Any, inputs: Any) -> None:
+def test_a_stage_gives_derivatives_of_its_function_in_both_modes_and_both_orders(staged: Any, inputs: Any) -> None:
     with jax.enable_x64(True):
-        check_grads(lambda *inputs: staged(jnp.asarray(0), *inputs), inputs, order=2, modes=("fwd", "rev"))
+        changes = jax.tree.map(lambda leaf: jnp.cos(7 * leaf), inputs)
+
+        def along(function: Any) -> Any:
+            return lambda *inputs: jax.jvp(function, inputs, changes)[1]
+
+        def slopes(function: Any) -> list[Any]:
+            def planes(*inputs: jax.Array) -> Any:
+                return function(jnp.asarray(1), *inputs)
+
+            def pulled(*inputs: jax.Array) -> Any:
+                return jax.vjp(planes, *inputs)[1]((_plane(5), _plane(6)))
+
+            def dotted(*inputs: jax.Array) -> jax.Array:
+                first, second = along(planes)(*inputs)
+                return jnp.sum(first * _plane(5)) + jnp.sum(second * _plane(6))
+
+            orders = (along(planes), along(along(planes)), along(pulled), jax.grad(dotted, argnums=(0, 1, 2)))
+            return [jax.jit(order)(*inputs) for order in orders]
+
+        _assert_close(slopes(staged), slopes(_plain))
 
 
 @FORMS
