@@ -1,5 +1,5 @@
-"""For all tests: none leaves its precision behind or depends on a clock or on chance; compiled programs are let go before
-they are too many."""
+"""For all tests: none leaves its precision behind, none depends on a clock or on chance, and compiled programs are let
+go before they are too many."""
 
 from __future__ import annotations
 
