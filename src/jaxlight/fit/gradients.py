@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..lighting import LightingOptions, shade_planes
+from ..lighting.shade import check_samples
 from ..raster.samples import SampleBuffer
 from ..scene import paths
 from ..scene.paths import Path
@@ -95,8 +96,9 @@ def check_gradients(
         seed: of the texels and of the reverse mode's random weights.
 
     Raises:
-        ValueError: no such field, or not a number in the scene.
+        ValueError: no such field, or not a number in the scene; a scene or samples that `shade` would refuse.
     """
+    check_samples(scene, samples)
     chosen, skipped = _checkable(scene, fields)
     dtype = jnp.result_type(*(field.leaf.get(scene) for field in chosen)) if chosen else jnp.result_type(float)
     single = np.dtype(dtype) != np.float64

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from ..lighting import LightingOptions, make_plan
 from ..lighting.shade import check_samples
 from ..lighting.tiles import in_fitting_tiles
+from ..scene.checks import check_scene
 from ..scene.flags import Flags
 from ..scene.paths import LIGHT_ATTRIBUTES, Leaf
 from ..scene.scene import Scene
@@ -93,8 +94,7 @@ def make_problem(
     Raises:
         ValueError: names the view, field or option, what came and what is allowed.
     """
-    if not isinstance(scene, Scene):
-        raise ValueError(f"scene: expected a Scene, got {type(scene).__name__}")
+    check_scene(scene)
     each = [views] if isinstance(views, View) else list(views)
     if not each or not all(isinstance(view, View) for view in each):
         raise ValueError("views: expected a View or a list of at least one View")

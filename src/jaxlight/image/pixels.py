@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..lighting import LightingOptions, Plan, shade_planes
+from ..lighting.shade import check_samples
 from ..raster import SampleBuffer
 from ..scene import Scene
 from .background import sky
@@ -32,7 +33,8 @@ def render(
     Raises:
         ValueError: the samples do not say which pixels they belong to, or do not fit the scene.
     """
-    _check(samples)
+    check_samples(scene, samples)
+    _check_pixels(samples)
     behind = sky(scene, samples)
     if samples.count == 0:
         return jnp.broadcast_to(behind, (samples.height, samples.width, 3))
@@ -55,7 +57,7 @@ def resolve(values: Any, samples: SampleBuffer) -> Float[Array, "height width ch
     Raises:
         ValueError: a shape that does not fit, or samples without pixels.
     """
-    _check(samples)
+    _check_pixels(samples)
     values = jnp.asarray(values)
     if values.ndim not in (1, 2) or values.shape[0] != samples.count:
         raise ValueError(f"resolve: expected values of shape [{samples.count}, channels], got {list(values.shape)}")
@@ -76,6 +78,8 @@ def _resolved(planes: Array, samples: SampleBuffer) -> Array:
     return jnp.moveaxis(pixels[:, :-1].reshape(-1, height, width), 0, -1)
 
 
-def _check(samples: SampleBuffer) -> None:
+def _check_pixels(samples: SampleBuffer) -> None:
+    if not isinstance(samples, SampleBuffer):
+        raise ValueError(f"samples: expected a SampleBuffer, got {type(samples).__name__}")
     if samples.pixel_slots is None or samples.width is None or samples.height is None:
         raise ValueError("samples: no picture to put them in; give SampleBuffer.create pixel, width and height")

@@ -129,6 +129,8 @@ def make_plan(
         options: readings of the specification.
         free: leaves of `scene` (the array objects) that must keep their derivatives; True: all of them.
     """
+    if not isinstance(options, LightingOptions | None):
+        raise ValueError(f"options: expected LightingOptions, got {type(options).__name__}")
     options = options or LightingOptions()
     known = _Known(jax.tree.leaves(scene) if free is True else free)
     bounds = None if samples is None else _bounds(known, samples)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from ..raster.samples import SampleBuffer
 from ..scene import Scene
+from ..scene.checks import check_scene
 from .changes import with_change
 from .compiling import is_traced, jit_on_cpu
 from .cores import in_threads, shares_of
@@ -44,9 +45,11 @@ def shade(
         [N, 4]: red, green, blue as the equation gives them (not clamped, no transfer function), and alpha.
 
     Raises:
-        ValueError: samples that name a surface the scene lacks, or lack a colour or texels that it asks for.
+        ValueError: leaves of the scene that are not floating-point arrays of their shape; samples that name a surface
+            the scene lacks, or lack a colour or texels that it asks for.
     """
-    return samples.rows_in_sample_order(shade_tiles(scene, samples, options, plan=plan))
+    tiles = shade_tiles(scene, samples, options, plan=plan)
+    return samples.rows_in_sample_order(tiles)
 
 
 def shade_planes(
@@ -147,7 +150,10 @@ def _without_document(scene: Scene) -> Scene:
 
 
 def check_samples(scene: Scene, samples: SampleBuffer) -> None:
-    """Raise ValueError if the samples do not fit the scene."""
+    """Raise ValueError if one of the two is something else, or they do not fit each other."""
+    check_scene(scene)
+    if not isinstance(samples, SampleBuffer):
+        raise ValueError(f"samples: expected a SampleBuffer, got {type(samples).__name__}")
     for row, _, _ in samples.runs:
         if row >= len(scene.surfaces):
             raise ValueError(f"samples: surface {row} asked for, but the scene has {len(scene.surfaces)} surfaces")

@@ -69,8 +69,10 @@ _KINDS: dict[str, tuple[str, dict[str, Range]]] = {
     "Texture": ("textures", {"image": UNIT}),
 }
 _ALIASES = {"ImageTexture": "Texture", "PixelTexture": "Texture"}
+ATTRIBUTES = {kind: attribute for kind, (attribute, _) in _KINDS.items()}
+"""Where a Scene keeps the nodes of each kind."""
 LIGHT_KINDS = ("DirectionalLight", "PointLight", "SpotLight")
-LIGHT_ATTRIBUTES = tuple(_KINDS[kind][0] for kind in LIGHT_KINDS)
+LIGHT_ATTRIBUTES = tuple(ATTRIBUTES[kind] for kind in LIGHT_KINDS)
 """Where a Scene keeps the lights of each kind."""
 
 
@@ -94,7 +96,7 @@ class Leaf(NamedTuple):
     @property
     def attribute(self) -> str:
         """Where a Scene keeps nodes of this kind."""
-        return _KINDS[self.kind][0]
+        return ATTRIBUTES[self.kind]
 
     @property
     def range(self) -> Range:

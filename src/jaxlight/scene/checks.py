@@ -1,0 +1,68 @@
+"""Is a scene fit to be read: are its leaves what the classes of `scene.py` state?
+
+`equinox.tree_at` and `jax.tree.map` put anything in their place, and arrays of other shapes would be read all the same.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any, get_type_hints
+
+import jax.numpy as jnp
+
+from .paths import ATTRIBUTES
+from .scene import Scene
+
+_ROWS = ("materials", "lights")
+"""Dimensions that count nodes; other names stand for any size."""
+
+
+def check_scene(scene: Scene) -> None:
+    """Raise ValueError for what is no Scene, and for leaves that are not floating-point arrays of their shape."""
+    if not isinstance(scene, Scene):
+        raise ValueError(f"scene: expected a Scene, got {type(scene).__name__}")
+    for kind, attribute in ATTRIBUTES.items():
+        owner = getattr(scene, attribute)
+        if isinstance(owner, tuple):
+            for row, one in enumerate(owner):
+                _check_leaves(f"{kind}[{row}]", one)
+        elif owner is not None:
+            _check_leaves(kind, owner)
+
+
+def _check_leaves(name: str, owner: Any) -> None:
+    for field, dimensions in _dimensions(type(owner)).items():
+        leaf = getattr(owner, field)
+        expected = [len(owner.names) if size in _ROWS else size for size in dimensions]
+        if not _is_float(getattr(leaf, "dtype", None)) or not _is_of_shape(leaf.shape, expected):
+            wanted = ", ".join(map(str, expected))
+            raise ValueError(f"{name}.{field}: expected floating-point numbers of shape [{wanted}], got {_told(leaf)}")
+
+
+@functools.cache
+def _dimensions(owner: type) -> dict[str, tuple[int | str, ...]]:
+    """Of every field that holds numbers the dimensions that its annotation states: `Float[Array, "lights 3"]`."""
+    hints, fields = get_type_hints(owner), dataclasses.fields(owner)
+    return {
+        field.name: tuple(int(size) if size.isdigit() else size for size in hints[field.name].dim_str.split())
+        for field in fields
+        if not field.metadata.get("static", False)
+    }
+
+
+@functools.cache
+def _is_float(dtype: Any) -> bool:
+    return dtype is not None and jnp.issubdtype(dtype, jnp.floating)
+
+
+def _is_of_shape(shape: tuple[int, ...], expected: list[int | str]) -> bool:
+    return len(shape) == len(expected) and all(
+        isinstance(wanted, str) or size == wanted for size, wanted in zip(shape, expected, strict=True)
+    )
+
+
+def _told(leaf: Any) -> str:
+    if hasattr(leaf, "dtype"):
+        return f"{leaf.dtype} of shape {list(leaf.shape)}"
+    return f"a {type(leaf).__name__}"

@@ -1,0 +1,98 @@
+"""Scenes whose leaves are not what they should be, and arguments of other types, are refused by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxlight import Camera, SampleBuffer, Scene, View, check_gradients, fit, nodes, rasterize, render, shade
+
+DIFFUSE = "Material[red].diffuse_color"
+
+
+@pytest.fixture(scope="module")
+def seen() -> tuple[Scene, SampleBuffer]:
+    """Two spheres of two materials under a light of each kind, in fog, one of them with a texture."""
+    picture = nodes.PixelTexture(image=np.full((2, 2, 3), 0.5))
+    bodies = [
+        nodes.Shape(
+            appearance=nodes.Appearance(material=nodes.Material(name=name), texture=texture), geometry=nodes.Sphere()
+        )
+        for name, texture in (("red", None), ("blue", picture))
+    ]
+    placed = [nodes.Transform(translation=(x, 0, 0), children=(body,)) for x, body in zip((-1, 1), bodies, strict=True)]
+    lights = [nodes.DirectionalLight(), nodes.PointLight(), nodes.SpotLight()]
+    scene = Scene.from_nodes([*placed, *lights, nodes.Fog(visibility_range=30.0)])
+    return scene, rasterize(scene, Camera.look_at((0, 0, 8), (0, 0, 0)), 16, 16)
+
+
+LEAVES: list[tuple[Callable[[Scene], Any], Any, str]] = [
+    (
+        lambda s: s.materials.diffuse_color,
+        jnp.ones(3),
+        r"Material\.diffuse_color: .* \[2, 3\], got float32 of shape \[3\]",
+    ),
+    (lambda s: s.materials.diffuse_color, jnp.ones((1, 3)), r"\[2, 3\], got float32 of shape \[1, 3\]"),
+    (lambda s: s.materials.diffuse_color, jnp.ones((2, 4)), r"\[2, 3\], got float32 of shape \[2, 4\]"),
+    (
+        lambda s: s.materials.diffuse_color,
+        np.ones((2, 3), int),
+        r"floating-point numbers .*got int64 of shape \[2, 3\]",
+    ),
+    (lambda s: s.materials.shininess, 0.5, r"Material\.shininess: .* \[2\], got a float"),
+    (
+        lambda s: s.directional.intensity,
+        jnp.ones(()),
+        r"DirectionalLight\.intensity: .* \[1\], got float32 of shape \[\]",
+    ),
+    (lambda s: s.point.location, jnp.ones(3), r"PointLight\.location: .* \[1, 3\], got float32 of shape \[3\]"),
+    (lambda s: s.spot.to_world, jnp.ones((1, 4, 4)), r"SpotLight\.to_world: .* \[1, 3, 4\]"),
+    (lambda s: s.fog.color, jnp.ones((1, 3)), r"Fog\.color: .* \[3\], got float32 of shape \[1, 3\]"),
+    (lambda s: s.textures[0].image, jnp.ones((2, 2)), r"Texture\[0\]\.image: .* \[height, width, components\]"),
+]
+
+
+@pytest.mark.parametrize(("leaf", "value", "message"), LEAVES)
+def test_leaves_of_another_shape_or_type_are_refused(
+    seen: tuple[Scene, SampleBuffer], leaf: Callable[[Scene], Any], value: Any, message: str
+) -> None:
+    scene, samples = seen
+    target = np.zeros((16, 16, 3))
+    changed = eqx.tree_at(leaf, scene, value)
+    for act in (
+        lambda: shade(changed, samples),
+        lambda: render(changed, samples),
+        lambda: jax.jit(lambda samples: shade(changed, samples))(samples),
+        lambda: fit(changed, View(samples, target), [DIFFUSE]),
+        lambda: check_gradients(changed, samples, [DIFFUSE]),
+    ):
+        with pytest.raises(ValueError, match=message):
+            act()
+
+
+def test_leaves_of_numpy_and_of_every_float_type_are_shaded(seen: tuple[Scene, SampleBuffer]) -> None:
+    scene, samples = seen
+    plain = render(scene, samples)
+    for dtype in (np.float16, np.float32, np.float64):
+        changed = jax.tree.map(lambda leaf, dtype=dtype: np.asarray(leaf, dtype), scene)
+        np.testing.assert_allclose(render(changed, samples), plain, atol=1e-2)
+
+
+def test_arguments_of_another_type_are_refused(seen: tuple[Scene, SampleBuffer]) -> None:
+    scene, samples = seen
+    wrong: Any = samples
+    other: Any = scene
+    options: Any = "modulate"
+    for function in (shade, render, check_gradients):
+        with pytest.raises(ValueError, match="scene: expected a Scene, got SampleBuffer"):
+            function(wrong, other)
+        with pytest.raises(ValueError, match="samples: expected a SampleBuffer, got Scene"):
+            function(scene, other)
+        with pytest.raises(ValueError, match="options: expected LightingOptions, got str"):
+            function(scene, samples, options=options)
