@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -201,6 +202,21 @@ def test_scene_of_nodes() -> None:
     for row, lights in zip(got, [(dataclasses.replace(lamp, in_scope=False), SUN), (lamp, SUN)], strict=True):
         rgb, alpha = equation.shade(case(*lights))
         np.testing.assert_allclose(row, [*rgb, alpha], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "name", [name for name, one in CASES.items() if one.sample.color and len(one.sample.color) == 3]
+)
+def test_colors_without_alpha_in_a_buffer_with_alpha(name: str) -> None:
+    """A shape with RGB colours beside one with RGBA: the fourth number of its samples is not read."""
+    one = CASES[name]
+    with precision("float64") as dtype:
+        scene, samples = scene_and_sample(one, dtype)
+        assert samples.color_planes is not None
+        wider = jnp.concatenate([samples.color_planes, jnp.full_like(samples.color_planes[:, :1], 0.6)], axis=1)
+        got = np.asarray(shade(scene, dataclasses.replace(samples, color_planes=wider), options_of(one))[0])
+    rgb, alpha = equation.shade(one)
+    np.testing.assert_allclose(got, [*rgb, alpha], rtol=1e-12)
 
 
 @pytest.mark.parametrize("count", [3, 1000, 40_000])

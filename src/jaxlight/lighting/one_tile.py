@@ -145,16 +145,15 @@ def _color(stage: Stage, how: How, prepared: Prepared, samples: SampleBuffer, in
     # Known before the loops that read there: divided in each of them, LLVM would not see that it is always the same.
     place = stage(lambda: (first // samples.group, first % samples.group * samples.tile), name="place")
 
-    def part(planes: Array, component: int | None = None) -> Array:
-        """The tiles' part of planes [blocks, components, block], of all components or one, left where it lies."""
+    def part(planes: Array, components: tuple[int, ...], lowest: int = 0) -> Array:
+        """The tiles' part of planes [blocks, components, block], of so many components or one, left where it lies."""
         block, within = place
-        components = planes.shape[1:2] if component is None else ()
-        start = (block, jnp.full_like(block, component or 0), within)
+        start = (block, jnp.full_like(block, lowest), within)
         return cast(Array, Inlined(partial(_part, (*components, rows, lanes), dtype), (planes, start)))
 
-    def unread(planes: Array) -> Unread:
-        components = tuple(part(planes, i) for i in range(planes.shape[1]))
-        return Unread(components, part(planes) if stage.stacks else None)
+    def unread(planes: Array, components: int = 3) -> Unread:
+        each = tuple(part(planes, (), component) for component in range(components))
+        return Unread(each, part(planes, (components,)) if stage.stacks else None)
 
     def cut(planes: Array, kind: jnp.dtype = dtype) -> Array:
         """The tiles' part of planes [components, slots], [components, rows, lanes]."""
@@ -167,7 +166,8 @@ def _color(stage: Stage, how: How, prepared: Prepared, samples: SampleBuffer, in
     material = material_row(prepared, surface, row, how.run.single)
     vertex_color = texel = None
     if surface.color_components and samples.color_planes is not None:
-        vertex_color = unread(samples.color_planes)
+        # Others in the buffer may have an alpha that these have not.
+        vertex_color = unread(samples.color_planes, surface.color_components)
     index_planes, weight_planes = samples.texel_index, samples.texel_weight
     if (
         surface.texture >= 0
