@@ -81,6 +81,17 @@ def test_the_outline_of_a_sphere_is_true_to_a_sixteenth_of_a_pixel() -> None:
     assert not np.any(hit[distance > 1.5])
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.3, 1.2])
+@pytest.mark.parametrize("geometry", [nodes.Sphere, nodes.Cylinder, nodes.Cone], ids=["sphere", "cylinder", "cone"])
+def test_samples_at_outlines_lie_on_the_side_that_is_seen(geometry: type, turn: float) -> None:
+    """Where a flat triangle lies behind the middle of its curved surface, the hidden side is nearer to it."""
+    turned = nodes.Transform(rotation=(1, 0, 0, turn), children=[shape(geometry())])
+    for size in (255, 256, 512):
+        samples = rasterize(Scene.from_nodes([turned]), nodes.Viewpoint(position=(0, 0, 3)), size, size, dtype=float)
+        _, normal, ray = rows(samples)
+        assert np.max(np.einsum("ij,ij->i", normal, ray)) < 1e-7
+
+
 @pytest.mark.parametrize("solid", [True, False])
 @pytest.mark.parametrize("geometry", [nodes.Cylinder, nodes.Cone], ids=["cylinder", "cone"])
 def test_open_cylinders_and_cones_show_their_inside_only_if_not_solid(geometry: type, solid: bool) -> None:

@@ -92,7 +92,7 @@ class PlacedTriangles:
         """
         found = self._blank(len(number))
         for which, here in self._by_shape(number):
-            self._fill(found, which, here, number[here] - self.first[which], weight[here], eye)
+            self._fill(found, which, here, number[here] - self.first[which], weight[here], eye, is_back[here])
         found.normal[is_back] *= -1.0
         return found
 
@@ -118,7 +118,14 @@ class PlacedTriangles:
                 yield which, order[low : min(low + _CHUNK, stop)]
 
     def _fill(
-        self, found: Attributes, which: int, here: np.ndarray, row: np.ndarray, weight: np.ndarray, eye: np.ndarray
+        self,
+        found: Attributes,
+        which: int,
+        here: np.ndarray,
+        row: np.ndarray,
+        weight: np.ndarray,
+        eye: np.ndarray,
+        is_back: np.ndarray,
     ) -> None:
         """Samples `here`, all on shape `which`, in its triangles `row`."""
         placed, triangles = self.scene.document.shapes[which], self.triangles[which]
@@ -127,9 +134,10 @@ class PlacedTriangles:
         found.position[here] = apply_to_points(to_world, _interpolated(weight, triangles.position, row))
         found.normal[here] = apply_to_normals(to_world, _interpolated(weight, triangles.normal, row))
         if triangles.quadric is not None and triangles.curved is not None:
-            curved = here[triangles.curved[row]]
+            on_it = triangles.curved[row]
+            curved = here[on_it]
             found.position[curved], found.normal[curved] = onto_quadric(
-                triangles.quadric, to_world, eye, found.position[curved]
+                triangles.quadric, to_world, eye, found.position[curved], is_back[on_it]
             )
         if found.color is not None and triangles.color is not None:
             found.color[here, : triangles.color.shape[2]] = _interpolated(weight, triangles.color, row)

@@ -60,7 +60,7 @@ def cylinder(node: nodes.Cylinder, segments: int) -> Triangles:
         position = np.stack([rim - lift, rim + lift])
         texcoord = np.stack(np.broadcast_arrays(s[None], np.array([[0.0], [1.0]])), axis=-1)
         normal = np.broadcast_to(around, position.shape)
-        exact = Quadric((1.0, 0.0, 1.0), (0.0, 0.0, 0.0), node.radius**2)
+        exact = Quadric((1.0, 0.0, 1.0), (0.0, 0.0, 0.0), node.radius**2, -half, half)
         parts.append(_curved(_grid(position), _grid(normal), _grid(texcoord), exact))
     if node.top:
         parts.append(_cap(around, node.radius, half, up=True))
@@ -84,7 +84,7 @@ def cone(node: nodes.Cone, segments: int) -> Triangles:
         texcoord = np.stack(
             [np.stack([middle, s[:-1], s[1:]], axis=1), np.tile([1.0, 0.0, 0.0], (segments, 1))], axis=-1
         )
-        exact = Quadric((1.0, -((radius / node.height) ** 2), 1.0), (0.0, half, 0.0), 0.0)
+        exact = Quadric((1.0, -((radius / node.height) ** 2), 1.0), (0.0, half, 0.0), 0.0, -half, half)
         parts.append(_curved(position, outward, texcoord, exact))
     if node.bottom:
         parts.append(_cap(around, radius, -half, up=False))

@@ -17,6 +17,9 @@ class Quadric:
     axes: tuple[float, float, float]
     center: tuple[float, float, float]
     level: float
+    low: float = -np.inf
+    high: float = np.inf
+    """How far along y the surface reaches."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
