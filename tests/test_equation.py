@@ -204,9 +204,7 @@ def test_scene_of_nodes() -> None:
         np.testing.assert_allclose(row, [*rgb, alpha], rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "name", [name for name, one in CASES.items() if one.sample.color and len(one.sample.color) == 3]
-)
+@pytest.mark.parametrize("name", [name for name, one in CASES.items() if one.sample.color == COLORS["rgb"]])
 def test_colors_without_alpha_in_a_buffer_with_alpha(name: str) -> None:
     """A shape with RGB colours beside one with RGBA: the fourth number of its samples is not read."""
     one = CASES[name]
@@ -217,6 +215,35 @@ def test_colors_without_alpha_in_a_buffer_with_alpha(name: str) -> None:
         got = np.asarray(shade(scene, dataclasses.replace(samples, color_planes=wider), options_of(one))[0])
     rgb, alpha = equation.shade(one)
     np.testing.assert_allclose(got, [*rgb, alpha], rtol=1e-12)
+
+
+BOXES = [
+    (sides, math.isqrt(square))
+    for sides in itertools.combinations_with_replacement(range(1, 31), 3)
+    if math.isqrt(square := sum(side * side for side in sides)) ** 2 == square
+]
+"""Boxes whose sides and diagonal are whole numbers."""
+
+
+@pytest.mark.parametrize("scale", [1.0, 3.0])
+@pytest.mark.parametrize("boxes", [BOXES[:20], BOXES], ids=["few", "many"])
+@pytest.mark.parametrize("bits", TOLERANCE)
+def test_samples_at_the_radius_are_lit(bits: str, boxes: list[Any], scale: float) -> None:
+    """Each under a light of its own; those a ten thousandth farther away are dark (reading 9)."""
+    corners = np.array([sides for sides, _ in boxes], float)
+    places = np.arange(len(boxes))[:, None] * np.array([256.0, 0, 0])
+    lamps = [
+        nodes.PointLight(location=tuple(place), radius=float(diagonal))
+        for place, (_, diagonal) in zip(places, boxes, strict=True)
+    ]
+    shape = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()))
+    with precision(bits) as dtype:
+        scene = Scene.from_nodes([nodes.Transform(scale=(scale,) * 3, children=[shape, *lamps])], dtype=dtype)
+        for factor, is_lit in ((1, True), (1.0001, False)):
+            position = scale * (places + factor * corners)
+            samples = SampleBuffer.create(position, -corners, (0.0, 0.0, 9.0), dtype=dtype)
+            got = np.asarray(shade(scene, samples))[:, 0]
+            assert np.all(got > 0) if is_lit else np.all(got == 0)
 
 
 @pytest.mark.parametrize("count", [3, 1000, 40_000])

@@ -134,7 +134,10 @@ def lights_in_world(
         local_place=local_place,
         unit_length=scale,
         attenuation=coefficients,
-        radius=lax.stop_gradient(on_lanes(field(lights.radius), lanes)) if plan.radius else None,
+        # Distances are rounded: a sample at the radius is lit all the same.
+        radius=lax.stop_gradient(on_lanes(field(lights.radius), lanes)) * (1 + 4 * jnp.finfo(dtype).eps)
+        if plan.radius
+        else None,
         axis=world_direction(lights.direction) if spot else None,
         beam_width=on_lanes(field(lights.beam_width), lanes) if spot else None,
         cut_off_angle=on_lanes(field(lights.cut_off_angle), lanes) if spot else None,
