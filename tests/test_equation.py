@@ -217,6 +217,19 @@ def test_colors_without_alpha_in_a_buffer_with_alpha(name: str) -> None:
     np.testing.assert_allclose(got, [*rgb, alpha], rtol=1e-12)
 
 
+def test_a_small_scale_is_no_singular_transform() -> None:
+    """A light of 1e11 times the place and radius in a frame of 1e-11 is the same light."""
+    shape = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()))
+    with precision("float64"):
+        samples = SampleBuffer.create([SAMPLE.position], [SAMPLE.normal], SAMPLE.eye)
+        plain, scaled = (
+            nodes.PointLight(location=tuple(size * np.array(LAMP.location)), radius=50.0 * size) for size in (1.0, 1e11)
+        )
+        small = nodes.Transform(scale=(1e-11,) * 3, children=[scaled])
+        expected, got = (shade(Scene.from_nodes([shape, light]), samples) for light in (plain, small))
+    np.testing.assert_allclose(got, expected, rtol=1e-12)
+
+
 BOXES = [
     (sides, math.isqrt(square))
     for sides in itertools.combinations_with_replacement(range(1, 31), 3)

@@ -13,7 +13,7 @@ from . import nodes
 from .document import Document, PlacedShape, PlacedViewpoint
 from .flags import Flags
 from .scene import DirectionalLights, Fog, Materials, PointLights, Scene, SpotLights, Surface, Texture
-from .transforms import IDENTITY, compose, frame_kind, transform_matrix
+from .transforms import IDENTITY, compose, frame_kind, is_invertible, transform_matrix
 
 MAX_DEPTH = 400
 MAX_PLACED = 1_000_000
@@ -51,7 +51,7 @@ class _Walk:
         match node:
             case nodes.Transform():
                 own = transform_matrix(node)
-                if not np.all(np.isfinite(own)) or abs(np.linalg.det(own[:, :3])) < 1e-30:
+                if not is_invertible(own):
                     raise ValueError(f"{node.label}: its matrix cannot be inverted (scale {node.scale})")
                 with np.errstate(over="ignore", invalid="ignore"):
                     placed = compose(to_world, own)

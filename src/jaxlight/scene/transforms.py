@@ -37,6 +37,13 @@ def compose(outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
     return np.hstack([outer[:, :3] @ inner[:, :3], outer[:, :3] @ inner[:, 3:] + outer[:, 3:]])
 
 
+def is_invertible(affine: np.ndarray) -> bool:
+    """Whether an affine map is finite and loses no direction, measured by its own scale, however small that is."""
+    linear = affine[:, :3]
+    scale = np.abs(linear).max()
+    return bool(np.all(np.isfinite(affine)) and scale >= 1e-30 and abs(np.linalg.det(linear / scale)) >= 1e-30)
+
+
 def apply_to_points(affine: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points [n, 3] mapped by an affine matrix [3, 4]."""
     return points @ affine[:, :3].T + affine[:, 3]
