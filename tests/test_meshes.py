@@ -251,6 +251,51 @@ def test_gltf_alpha_and_double_sides(tmp_path: Path, glb: bytes) -> None:
     assert scene.document.textures[0].image.shape == (2, 1, 4)  # type: ignore[union-attr]
 
 
+@pytest.mark.parametrize("blended_first", [True, False])
+def test_one_image_under_two_alpha_modes_is_two_textures(tmp_path: Path, glb: bytes, blended_first: bool) -> None:
+    def change(header: dict) -> None:
+        (red,) = header["materials"]
+        blended, opaque = red | {"name": "blended", "alphaMode": "BLEND"}, red | {"name": "opaque"}
+        header["materials"] = [blended, opaque]
+        (textured,) = [mesh for mesh in header["meshes"] if "material" in mesh["primitives"][0]]
+        meshes = [
+            {"name": f"m{row}", "primitives": [textured["primitives"][0] | {"material": row}]}
+            for row in ((0, 1) if blended_first else (1, 0))
+        ]
+        header |= {"meshes": meshes, "nodes": [{"mesh": 0}, {"mesh": 1}], "scenes": [{"nodes": [0, 1]}]}
+
+    (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
+    appearances = [shape.appearance for shape in shapes_of(tmp_path / "a.glb")]
+    components = {a.material.name: a.texture.image.shape[2] for a in appearances}  # type: ignore[union-attr]
+    assert components == {"blended": 4, "opaque": 3}
+
+
+@pytest.mark.parametrize("colored_first", [True, False])
+@pytest.mark.parametrize("unlit", [True, False])
+def test_an_unlit_material_gives_way_to_the_colours_of_its_own_mesh_only(
+    tmp_path: Path, glb: bytes, colored_first: bool, unlit: bool
+) -> None:
+    def change(header: dict) -> None:
+        (red,) = header["materials"]
+        del red["pbrMetallicRoughness"]["baseColorTexture"]
+        red["extensions"] = {"KHR_materials_unlit": {}} if unlit else {}
+        (textured,) = [mesh for mesh in header["meshes"] if "material" in mesh["primitives"][0]]
+        plain = textured["primitives"][0]
+        positions = plain["attributes"]["POSITION"]
+        colored = plain | {"attributes": {**plain["attributes"], "COLOR_0": positions}}
+        pair = [{"name": "colored", "primitives": [colored]}, {"name": "plain", "primitives": [plain]}]
+        meshes = pair if colored_first else pair[::-1]
+        header |= {"meshes": meshes, "nodes": [{"mesh": 0}, {"mesh": 1}], "scenes": [{"nodes": [0, 1]}]}
+
+    (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
+    materials = {shape.name: shape.appearance.material for shape in shapes_of(tmp_path / "a.glb")}  # type: ignore[union-attr]
+    if unlit:
+        assert materials["colored"] is None
+        assert materials["plain"].emissive_color == (1, 0, 0)  # type: ignore[union-attr]
+    else:
+        assert materials["colored"] is materials["plain"] is not None
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -71,8 +71,12 @@ class _MeshBuilder:
         self._gltf_materials = gltf_materials
         self._textures = TextureReader(ResourceFolder(path))
         self._shapes: dict[str, nodes.Shape | None] = {}
-        self._appearances: dict[int, tuple[nodes.Appearance, bool]] = {}
-        self._images: dict[int, nodes.ImageTexture | None] = {}
+        self._appearances: dict[tuple[int, bool], tuple[nodes.Appearance, bool]] = {}
+        """By identity of the material, and whether it is unlit on a mesh with colours: then it must not hide them."""
+        self._pixels: dict[int, np.ndarray | None] = {}
+        """By identity of the image; None if it cannot be had."""
+        self._image_nodes: dict[tuple[int, bool], nodes.ImageTexture] = {}
+        """By identity of the image, and whether its alpha is left out."""
 
     def shape(self, name: str) -> nodes.Shape | None:
         """The Shape of the geometry with this name; None (and a note) for what has no triangles."""
@@ -93,14 +97,16 @@ class _MeshBuilder:
         material = getattr(mesh.visual, "material", None) if mesh.visual.kind == "texture" else None
         if material is None or _is_stand_in(material):
             return nodes.Appearance(material=nodes.Material()), False
-        if id(material) not in self._appearances:
-            row = int(material.name or 0) if isinstance(material, PBRMaterial) else None
-            self._appearances[id(material)] = (
-                self._from_gltf(material, self._gltf_materials[row], mesh)
-                if row is not None
-                else (self._from_mtl(material), False)
+        description = self._gltf_materials[int(material.name or 0)] if isinstance(material, PBRMaterial) else None
+        colored = description is not None and _is_unlit(description) and "color" in mesh.visual.vertex_attributes
+        key = (id(material), colored)
+        if key not in self._appearances:
+            self._appearances[key] = (
+                (self._from_mtl(material), False)
+                if description is None
+                else self._from_gltf(material, description, colored=colored)
             )
-        return self._appearances[id(material)]
+        return self._appearances[key]
 
     def _from_mtl(self, material: Any) -> nodes.Appearance:
         for key in material.kwargs:
@@ -109,30 +115,49 @@ class _MeshBuilder:
         node = material_from_mtl(material.name, material.kwargs, material.glossiness)
         return nodes.Appearance(material=node, texture=self._texture(material.image))
 
-    def _from_gltf(self, material: Any, description: dict[str, Any], mesh: Any) -> tuple[nodes.Appearance, bool]:
+    def _from_gltf(
+        self, material: Any, description: dict[str, Any], *, colored: bool
+    ) -> tuple[nodes.Appearance, bool]:
         name = str(description.get("name", ""))
         see_through = description.get("alphaMode", "OPAQUE") != "OPAQUE"
         texture = self._texture(material.baseColorTexture, opaque=not see_through)
         node: nodes.Material | None = material_from_gltf(name, description, see_through=see_through)
-        if "KHR_materials_unlit" in description.get("extensions", {}):
-            colored = texture is not None or "color" in mesh.visual.vertex_attributes
-            node = None if colored else unlit_material_from_gltf(name, description)
+        if _is_unlit(description):
+            node = None if colored or texture is not None else unlit_material_from_gltf(name, description)
         return nodes.Appearance(material=node, texture=texture), not description.get("doubleSided", False)
 
     def _texture(self, image: Image.Image | None, *, opaque: bool = False) -> nodes.ImageTexture | None:
         """The texture of an image that trimesh opened; None (and a note) if it cannot be decoded."""
-        if image is None:
+        pixels = None if image is None else self._pixels_of(image)
+        if image is None or pixels is None:
             return None
-        if id(image) not in self._images:
-            url = _file_of(str(image.info.get("file_path", "")))
+        key = (id(image), opaque)
+        if key not in self._image_nodes:
+            shown = pixels[:, :, : pixels.shape[2] - 1] if opaque and pixels.shape[2] in (2, 4) else pixels
+            url = _url_of(image)
+            self._image_nodes[key] = nodes.ImageTexture(image=shown, url=(url,) if url else ())
+        return self._image_nodes[key]
+
+    def _pixels_of(self, image: Image.Image) -> np.ndarray | None:
+        """The pixels of an image, row 0 at the bottom; decoded once, however many materials use it."""
+        if id(image) not in self._pixels:
+            url = _url_of(image)
             try:
                 pixels = self._textures.first([url])[0] if url else np.flipud(pixels_of(image, self._path))
-                pixels = pixels[:, :, : pixels.shape[2] - 1] if opaque and pixels.shape[2] in (2, 4) else pixels
-                self._images[id(image)] = nodes.ImageTexture(image=pixels, url=(url,) if url else ())
             except Exception as error:  # Pillow says in many ways that an image is damaged
                 self._notes.missing.append(_sentence(error))
-                self._images[id(image)] = None
-        return self._images[id(image)]
+                pixels = None
+            self._pixels[id(image)] = pixels
+        return self._pixels[id(image)]
+
+
+def _is_unlit(description: dict[str, Any]) -> bool:
+    return "KHR_materials_unlit" in description.get("extensions", {})
+
+
+def _url_of(image: Image.Image) -> str:
+    """The file that an mtl names; empty for an image that stands in the mesh file."""
+    return _file_of(str(image.info.get("file_path", "")))
 
 
 def _is_stand_in(material: Any) -> bool:
