@@ -137,6 +137,26 @@ def test_light_rows(scene: Scene) -> None:
         paths.light_rows(scene, ["Material[body]"])
 
 
+@pytest.mark.parametrize(
+    ("path", "rows"),
+    [
+        ("PointLight[Lamp.001]", [1]),
+        ("PointLight[Lamp.*]", [1, 2]),
+        ("PointLight[Lamp.001].*", [1]),
+        ("PointLight[*]", [0, 1, 2]),
+        ("SpotLight", []),
+    ],
+)
+def test_light_names_may_have_dots(path: str, rows: list[int]) -> None:
+    """Blender calls the second light of a name Lamp.001."""
+    points = [nodes.PointLight(name=name) for name in ("Lamp", "Lamp.001", "Lamp.002")]
+    scene = Scene.from_nodes([*points, nodes.SpotLight(name="spot.001")])
+    assert paths.light_rows(scene, [path])["PointLight"].tolist() == rows
+    for wrong in ("PointLight[Lamp.001].intensity", "PointLight.color"):
+        with pytest.raises(ValueError, match="expected a light such as"):
+            paths.light_rows(scene, [wrong])
+
+
 def test_hundreds_of_paths_are_free_at_the_cost_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """A list of all fields of all lights means what the wildcard means, and the scene is gone through no more often."""
     lights = [nodes.PointLight(location=(i, 0, 1), intensity=0.5) for i in range(40)]

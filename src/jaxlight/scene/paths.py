@@ -173,7 +173,7 @@ def light_rows(scene: Scene, paths: Iterable[str]) -> dict[str, np.ndarray]:
     """
     rows: dict[str, set[int]] = {kind: set() for kind in LIGHT_KINDS}
     for path in paths:
-        kind, row, field, _ = _parse(path if "." in path else f"{path}.*")
+        kind, row, field, _ = _parse(path if "." in path.rpartition("]")[2] else f"{path}.*")
         if kind not in LIGHT_KINDS or field != "*":
             raise ValueError(f"lights: expected a light such as 'PointLight[0]', got {path!r}{_lights_there(scene)}")
         owner = getattr(scene, _KINDS[kind][0])
