@@ -345,6 +345,20 @@ def test_a_copied_texture_never_replaces_another_file(textured: Path, tmp_path: 
     assert "url='\"fitted_wood.png\"'" in out.read_text()
 
 
+def test_a_scene_behind_a_link_is_at_home_in_the_folder_of_the_link(textured: Path, tmp_path: Path) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    (home / "scene.x3d").symlink_to(textured)
+    (home / "maps").mkdir()
+    Image.new("RGB", (1, 1), (255, 0, 0)).save(home / "maps" / "wood.png")
+    scene = load(home / "scene.x3d")
+    assert np.ravel(scene.textures[0].image).tolist() == [1, 0, 0]  # not the one beside what the link points to
+    for out in (home / "same.x3d", tmp_path / "out.x3d"):
+        save(scene, out)
+        assert out.read_bytes() == textured.read_bytes()
+        assert (out.parent / "maps" / "wood.png").read_bytes() == (home / "maps" / "wood.png").read_bytes()
+
+
 def test_changed_texels_are_written_beside_the_file(textured: Path) -> None:
     original = (textured.parent / "maps" / "wood.png").read_bytes()
     image = np.random.default_rng(1).integers(0, 256, (5, 3, 3)) / 255

@@ -57,7 +57,8 @@ def read_x3d(path: Path, data: bytes) -> tuple[tuple[nodes.Node, ...], ReadNotes
         raise SceneFileError(path, root.line, "<X3D> holds no <Scene>")
     reader = _Reader(path, _version(root.attributes.get("version", "")), _angle_unit(path, root))
     children = reader.read_all(scene)
-    source = X3DSource(path.resolve(), data, reader.element_numbers, reader.texture_files, reader.angle_unit)
+    place = path.parent.resolve() / path.name  # a link stays one: what the scene names lies beside the link
+    source = X3DSource(place, data, reader.element_numbers, reader.texture_files, reader.angle_unit)
     return children, reader.notes, source
 
 
