@@ -12,9 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from PIL import Image
 
-from jaxlight import Scene, load, read_image, save
+from jaxlight import Scene, load, save
 from jaxlight.scene import nodes as n
 from jaxlight.scene.nodes import nodes_equal
 from x3d_text import x3d
@@ -305,94 +304,3 @@ def test_a_name_that_xml_cannot_hold_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="cannot be written as XML"):
         save(Scene.from_nodes([n.Group(name="\0")]), tmp_path / "scene.x3d")
     assert os.listdir(tmp_path) == []
-
-
-# --- textures -------------------------------------------------------------------------------------------------------
-
-TEXTURED = "<Shape><Appearance><Material/><ImageTexture DEF='wood' url='\"maps/wood.png\"'/></Appearance><Box/></Shape>"
-
-
-@pytest.fixture
-def textured(tmp_path: Path) -> Path:
-    folder = tmp_path / "source"
-    (folder / "maps").mkdir(parents=True)
-    Image.fromarray(np.arange(24, dtype=np.uint8).reshape(2, 4, 3)).save(folder / "maps" / "wood.png")
-    (folder / "scene.x3d").write_text(x3d(TEXTURED))
-    return folder / "scene.x3d"
-
-
-def with_texels(scene: Scene, image: np.ndarray) -> Scene:
-    return eqx.tree_at(lambda s: s.textures[0].image, scene, jnp.asarray(image, dtype=scene.textures[0].image.dtype))
-
-
-def test_unchanged_textures_are_copied_along(textured: Path, tmp_path: Path) -> None:
-    out = tmp_path / "elsewhere" / "scene.x3d"
-    out.parent.mkdir()
-    scene = load(textured)
-    save(scene, out)
-    assert out.read_bytes() == textured.read_bytes()
-    assert (out.parent / "maps" / "wood.png").read_bytes() == (textured.parent / "maps" / "wood.png").read_bytes()
-    assert nodes_equal(load(out).document.children, scene.document.children)
-
-
-def test_a_copied_texture_never_replaces_another_file(textured: Path, tmp_path: Path) -> None:
-    out = tmp_path / "elsewhere" / "fitted.x3d"
-    (out.parent / "maps").mkdir(parents=True)
-    (out.parent / "maps" / "wood.png").write_text("something else")
-    save(load(textured), out)
-    assert (out.parent / "maps" / "wood.png").read_text() == "something else"
-    assert np.array_equal(load(out).textures[0].image, load(textured).textures[0].image)
-    assert "url='\"fitted_wood.png\"'" in out.read_text()
-
-
-def test_a_scene_behind_a_link_is_at_home_in_the_folder_of_the_link(textured: Path, tmp_path: Path) -> None:
-    home = tmp_path / "home"
-    home.mkdir()
-    (home / "scene.x3d").symlink_to(textured)
-    (home / "maps").mkdir()
-    Image.new("RGB", (1, 1), (255, 0, 0)).save(home / "maps" / "wood.png")
-    scene = load(home / "scene.x3d")
-    assert np.ravel(scene.textures[0].image).tolist() == [1, 0, 0]  # not the one beside what the link points to
-    for out in (home / "same.x3d", tmp_path / "out.x3d"):
-        save(scene, out)
-        assert out.read_bytes() == textured.read_bytes()
-        assert (out.parent / "maps" / "wood.png").read_bytes() == (home / "maps" / "wood.png").read_bytes()
-
-
-def test_changed_texels_are_written_beside_the_file(textured: Path) -> None:
-    original = (textured.parent / "maps" / "wood.png").read_bytes()
-    image = np.random.default_rng(1).integers(0, 256, (5, 3, 3)) / 255
-    out = textured.parent / "fitted.x3d"
-    save(with_texels(load(textured), image), out)
-    assert (textured.parent / "maps" / "wood.png").read_bytes() == original
-    assert out.read_text() == x3d(TEXTURED).replace("maps/wood.png", "fitted_wood.png")
-    assert np.array_equal(read_image(textured.parent / "fitted_wood.png"), image[::-1])
-    assert np.allclose(load(out).textures[0].image, image, atol=1e-7)
-
-
-def test_an_input_texture_is_never_overwritten(tmp_path: Path) -> None:
-    Image.new("RGB", (1, 1), (255, 0, 0)).save(tmp_path / "scene_wood.png")
-    (tmp_path / "scene.x3d").write_text(x3d(TEXTURED.replace("maps/wood.png", "scene_wood.png")))
-    save(with_texels(load(tmp_path / "scene.x3d"), np.zeros((1, 1, 3))), tmp_path / "scene.x3d")
-    assert read_image(tmp_path / "scene_wood.png").ravel().tolist() == [1, 0, 0]
-    assert np.array_equal(load(tmp_path / "scene.x3d").textures[0].image, np.zeros((1, 1, 3)))
-
-
-def test_changed_pixel_textures_stay_in_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "scene.x3d"
-    text = x3d("<Shape><Appearance><PixelTexture image='1 2 1 0 255'/></Appearance><Box/></Shape>")
-    path.write_text(text)
-    save(with_texels(load(path), np.array([[[0.2]], [[0.4]]])), path)
-    assert path.read_text() == text.replace("1 2 1 0 255", "1 2 1 0x33 0x66")
-
-
-def test_a_texture_built_in_python_becomes_a_file(tmp_path: Path) -> None:
-    image = np.random.default_rng(2).integers(0, 256, (4, 2, 4)) / 255
-    for texture in (n.ImageTexture(image=image, url=("wood.png",)), n.ImageTexture(image=image, name="wood")):
-        scene = Scene.from_nodes([n.Shape(appearance=n.Appearance(texture=texture), geometry=n.Box())])
-        save(scene, tmp_path / "scene.x3d")
-        assert np.array_equal(load(tmp_path / "scene.x3d").document.textures[0].image, image)  # type: ignore[arg-type]
-    assert sorted(os.listdir(tmp_path)) == ["scene.x3d", "scene_wood.png", "wood.png"]
-    named = Scene.from_nodes([n.Shape(appearance=n.Appearance(texture=n.ImageTexture(image=image, url=("wood.png",))))])
-    save(named, tmp_path / "again.x3d")
-    assert nodes_equal(load(tmp_path / "again.x3d").document.children, named.document.children)

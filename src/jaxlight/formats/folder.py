@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import urllib.parse
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
@@ -31,11 +32,11 @@ class ResourceFolder:
             raise ValueError(f"{_shown(name)} is outside the scene's folder")
         try:
             path = (self.path / name).resolve()
-            if not path.is_relative_to(self.path):
-                raise ValueError(f"{_shown(name)} is outside the scene's folder")
-            return path if path.is_file() else None
-        except (OSError, RuntimeError):  # a name too long for the file system, a loop of links
+        except (OSError, RuntimeError, ValueError):  # a name that no file can have, a loop of links
             return None
+        if not path.is_relative_to(self.path):
+            raise ValueError(f"{_shown(name)} is outside the scene's folder")
+        return path if os.path.isfile(path) else None
 
 
 def _shown(reference: str) -> str:

@@ -115,9 +115,7 @@ class _MeshBuilder:
         node = material_from_mtl(material.name, material.kwargs, material.glossiness)
         return nodes.Appearance(material=node, texture=self._texture(material.image))
 
-    def _from_gltf(
-        self, material: Any, description: dict[str, Any], *, colored: bool
-    ) -> tuple[nodes.Appearance, bool]:
+    def _from_gltf(self, material: Any, description: dict[str, Any], *, colored: bool) -> tuple[nodes.Appearance, bool]:
         name = str(description.get("name", ""))
         see_through = description.get("alphaMode", "OPAQUE") != "OPAQUE"
         texture = self._texture(material.baseColorTexture, opaque=not see_through)

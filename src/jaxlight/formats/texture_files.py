@@ -62,7 +62,7 @@ class TexturePlan:
             target = self.path.parent / name
             if _holds(self.path, url, image):
                 return None
-            is_free = not target.exists() and target not in self._copies and target not in self._images
+            is_free = _is_free(target) and target not in self._copies and target not in self._images
             if is_free and name.name == str(name) and name.suffix.lower() == ".png":
                 self._images[target] = image
                 return None
@@ -101,7 +101,27 @@ def _holds(scene_path: Path, url: str, image: np.ndarray) -> bool:
 def named_files(scene_path: Path, everything: Iterable[nodes.Node]) -> set[Path]:
     """The files that the urls of textures name, seen from where the scene is written."""
     urls = {url for node in everything if isinstance(node, nodes.ImageTexture) for url in node.url if len(url) < 1000}
-    return {(scene_path.parent / urllib.parse.unquote(url)).resolve() for url in urls if "\0" not in url}
+    files = (_resolved(scene_path.parent / urllib.parse.unquote(url)) for url in urls)
+    return {file for file in files if file is not None}
+
+
+def _resolved(path: Path) -> Path | None:
+    """The file behind all links; None for a name that no file can have, and for links in a circle."""
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError, ValueError):
+        return None
+
+
+def _is_free(path: Path) -> bool:
+    """True if nothing has this name and a file can have it: it is not too long, and of characters that names hold."""
+    try:
+        path.lstat()
+    except FileNotFoundError:
+        return True
+    except (OSError, ValueError):
+        return False
+    return False
 
 
 def texture_url(
