@@ -301,6 +301,9 @@ def test_an_unlit_material_gives_way_to_the_colours_of_its_own_mesh_only(
     [
         (lambda h: h.update(extensionsRequired=["KHR_draco_mesh_compression"]), "needs the glTF extension KHR_draco"),
         (lambda h: h["accessors"][0].update(count=10**12), "announces more than"),
+        (lambda h: h["accessors"][0].update(count=float("inf")), "malformed glTF header: OverflowError"),
+        (lambda h: [a.update(count=s * 10**12) for a, s in zip(h["accessors"], (1, -1), strict=False)], "accessor 1 has -1000000"),
+        (lambda h: h["accessors"][0].update(count=-1), "accessor 0 has -1 entries"),
         (lambda h: h.update(materials=[1]), "malformed glTF header"),
         (lambda h: h.update(scenes=[{"nodes": []}]), "holds no triangles"),
         (lambda h: h["nodes"][0].update(matrix=[0] * 16), "none 0"),

@@ -145,6 +145,9 @@ MISTAKES = {
     "no such level": ("[start]", "[reading]\nsupport_level = 4\n[start]", "5: reading.support_level: expected 1 or 2"),
     "half a step": ("free =", "max_steps = 1.5\nfree =", "2: max_steps: expected a whole number, got 1.5"),
     "two numbers of three": ("mask =", "background = [0, 0]\nmask =", "10: views[1].background: expected a list of 3"),
+    "a number too large": ("mask =", f"exposure = 1{'0' * 400}\nmask =", "10: views[1].exposure: expected a number"),
+    "a whole number too large": ("free =", f"seed = {2**63}\nfree =", "2: seed: expected a whole number, got a"),
+    "a number of endless letters": ("0.1 }", f"0x{'f' * 9000} }}", "3: free[1].lower: expected a number or a list of"),
     "no such file": ('"mask.png"', '"no.png"', "10: views[1].mask: no.png: no such file beside the problem file"),
     "above the folder": ('"mask.png"', '"../mask.png"', "10: views[1].mask: ../mask.png is outside the folder"),
     "an absolute path": ('"scene.x3d"', '"/etc/passwd"', "1: scene: /etc/passwd is outside the folder"),
@@ -183,12 +186,15 @@ def test_a_mistake_is_one_line_with_file_line_and_key(
     assert not (folder / "fitted").exists()
 
 
-def test_bytes_that_are_no_text_and_endless_nesting(folder: Path) -> None:
+def test_bytes_that_are_no_text_and_endless_nesting_and_digits(folder: Path) -> None:
     (folder / "a.toml").write_bytes(b"scene = '\xff'")
     with pytest.raises(SceneFileError, match=r"a\.toml: expected UTF-8"):
         ProblemFile(folder / "a.toml")
     (folder / "a.toml").write_text("free = " + "[" * 5000 + "]" * 5000)
     with pytest.raises(SceneFileError, match="nested too deep"):
+        ProblemFile(folder / "a.toml")
+    (folder / "a.toml").write_text("seed = " + "1" * 9000)
+    with pytest.raises(SceneFileError, match=r"a\.toml: a number of too many digits"):
         ProblemFile(folder / "a.toml")
 
 

@@ -45,6 +45,10 @@ class ProblemFile:
             raise SceneFileError(path, int(line[1]) if line else text.count("\n") + 1, what) from None
         except RecursionError:
             raise SceneFileError(path, None, "tables or lists are nested too deep") from None
+        except SceneFileError:
+            raise
+        except ValueError:  # of Python's own limit, not of the TOML reader
+            raise SceneFileError(path, None, "a number of too many digits") from None
         self.problem: FitProblem = self._table(FitProblem, content, ())
 
     def error(self, key: Key, message: str) -> SceneFileError:
@@ -125,10 +129,15 @@ def _may_be(kind: Any, value: Any) -> bool:
     if origin is dict or dataclasses.is_dataclass(kind):
         return isinstance(value, dict)
     if kind is float:
-        return isinstance(value, (int, float)) and not isinstance(value, bool) and not math.isnan(value)
+        return _is_whole(value) or (isinstance(value, float) and not math.isnan(value))
     if kind is int:
-        return isinstance(value, int) and not isinstance(value, bool)
+        return _is_whole(value)
     return isinstance(value, str if kind is Path else kind)
+
+
+def _is_whole(value: Any) -> bool:
+    """Whether a value is a whole number of the 64 bits that TOML speaks of."""
+    return isinstance(value, int) and not isinstance(value, bool) and -(2**63) <= value < 2**63
 
 
 def _words(kind: Any) -> str:
@@ -151,6 +160,8 @@ def _words(kind: Any) -> str:
 def _shown(value: Any) -> str:
     if isinstance(value, (dict, list)):
         return "a table" if isinstance(value, dict) else "a list"
+    if isinstance(value, int) and not isinstance(value, bool) and not _is_whole(value):
+        return "a whole number of more than 64 bits"
     text = str(value).lower() if isinstance(value, bool) else repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 

@@ -34,7 +34,7 @@ def numbered_materials(path: Path, data: bytes, notes: ReadNotes) -> tuple[bytes
     try:
         header = json.loads(data[20 : 20 + length])
         materials = _materials(path, header, notes)
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         if isinstance(error, SceneFileError):
             raise
         raise SceneFileError(path, None, f"malformed glTF header: {type(error).__name__}: {error}") from None
@@ -51,7 +51,11 @@ def _materials(path: Path, header: dict[str, Any], notes: ReadNotes) -> list[dic
     for name in header.get("extensionsRequired", []):
         if not str(name).startswith(_KNOWN_EXTENSIONS):
             raise SceneFileError(path, None, f"needs the glTF extension {name}, which jaxlight does not read")
-    if sum(int(accessor["count"]) for accessor in header.get("accessors", [])) > MAX_FILE_BYTES:
+    counts = [int(accessor["count"]) for accessor in header.get("accessors", [])]
+    for row, count in enumerate(counts):
+        if count < 0:
+            raise SceneFileError(path, None, f"glTF accessor {row} has {count} entries")
+    if sum(counts) > MAX_FILE_BYTES:
         raise SceneFileError(path, None, f"announces more than {MAX_FILE_BYTES} numbers")
     for kind in ("animations", "skins", "cameras"):
         if header.get(kind):
