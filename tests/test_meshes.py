@@ -270,6 +270,28 @@ def test_one_image_under_two_alpha_modes_is_two_textures(tmp_path: Path, glb: by
     assert components == {"blended": 4, "opaque": 3}
 
 
+def test_the_pixels_of_embedded_images_are_bounded_together(
+    tmp_path: Path, glb: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def change(header: dict) -> None:
+        (red,) = header["materials"]
+        header["images"] = header["images"] * 3
+        header["textures"] = [{"source": i} for i in range(3)]
+        header["materials"] = [
+            red | {"pbrMetallicRoughness": {"baseColorTexture": {"index": i}}, "name": str(i)} for i in (0, 0, 1, 2)
+        ]
+        (textured,) = [mesh for mesh in header["meshes"] if "material" in mesh["primitives"][0]]
+        primitives = [textured["primitives"][0] | {"material": row} for row in range(4)]
+        header |= {"meshes": [{"primitives": primitives}], "nodes": [{"mesh": 0}], "scenes": [{"nodes": [0]}]}
+
+    monkeypatch.setattr("jaxlight.formats.x3d_textures.MAX_PIXELS", 4)  # two images of 2 x 1
+    (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
+    with pytest.warns(SceneFileWarning, match="1 file not used: the scene's textures have more than 4 pixels together"):
+        shapes = shapes_of(tmp_path / "a.glb")
+    found = {s.appearance.material.name: s.appearance.texture is not None for s in shapes}  # type: ignore[union-attr]
+    assert found == {"0": True, "1": True, "2": False}
+
+
 @pytest.mark.parametrize("colored_first", [True, False])
 @pytest.mark.parametrize("unlit", [True, False])
 def test_an_unlit_material_gives_way_to_the_colours_of_its_own_mesh_only(
@@ -302,7 +324,10 @@ def test_an_unlit_material_gives_way_to_the_colours_of_its_own_mesh_only(
         (lambda h: h.update(extensionsRequired=["KHR_draco_mesh_compression"]), "needs the glTF extension KHR_draco"),
         (lambda h: h["accessors"][0].update(count=10**12), "announces more than"),
         (lambda h: h["accessors"][0].update(count=float("inf")), "malformed glTF header: OverflowError"),
-        (lambda h: [a.update(count=s * 10**12) for a, s in zip(h["accessors"], (1, -1), strict=False)], "accessor 1 has -1000000"),
+        (
+            lambda h: [a.update(count=s * 10**12) for a, s in zip(h["accessors"], (1, -1), strict=False)],
+            "accessor 1 has -1000000",
+        ),
         (lambda h: h["accessors"][0].update(count=-1), "accessor 0 has -1 entries"),
         (lambda h: h.update(materials=[1]), "malformed glTF header"),
         (lambda h: h.update(scenes=[{"nodes": []}]), "holds no triangles"),

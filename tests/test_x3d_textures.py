@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxlight import SceneFileWarning
+from jaxlight import SceneFileWarning, read_image
 from jaxlight.formats import read_nodes
 from jaxlight.scene import nodes as n
 from x3d_text import x3d
@@ -69,3 +69,20 @@ def test_a_texture_in_the_address_itself(tmp_path: Path) -> None:
     url = f"data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}"
     texture = texture_of(tmp_path / "scene.x3d", f'"{url}"')
     assert texture.image is not None and texture.image.tolist() == [[[1, 0, 0]]]
+
+
+def test_the_pixels_of_all_textures_are_bounded_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file counts once, and when the limit is passed no further file is decoded."""
+    for name in "abcd":
+        Image.new("RGB", (2, 1)).save(tmp_path / f"{name}.png")
+    (tmp_path / "scene.x3d").write_text(x3d("".join(TEXTURED.format(f"{name}.png") for name in "aabcd")))
+    monkeypatch.setattr("jaxlight.formats.x3d_textures.MAX_PIXELS", 4)
+    decoded = []
+    monkeypatch.setattr(
+        "jaxlight.formats.x3d_textures.read_image", lambda path: decoded.append(path.stem) or read_image(path)
+    )
+    with pytest.warns(SceneFileWarning, match="2 files not used: the scene's textures have more than 4 pixels"):
+        shapes = read_nodes(tmp_path / "scene.x3d").children
+    there = [shape.appearance.texture.image is not None for shape in shapes]  # type: ignore[attr-defined]
+    assert there == [True, True, True, False, False]
+    assert decoded == ["a", "b", "c"]

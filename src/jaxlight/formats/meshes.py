@@ -21,7 +21,6 @@ from .encodings import Format
 from .errors import SceneFileError
 from .folder import ResourceFolder
 from .gltf_header import numbered_materials
-from .images import pixels_of
 from .limits import read_bounded
 from .mesh_graph import nested_transforms
 from .mesh_materials import material_from_gltf, material_from_mtl, unlit_material_from_gltf
@@ -141,7 +140,7 @@ class _MeshBuilder:
         if id(image) not in self._pixels:
             url = _url_of(image)
             try:
-                pixels = self._textures.first([url])[0] if url else np.flipud(pixels_of(image, self._path))
+                pixels = self._textures.first([url])[0] if url else self._textures.opened(image, self._path)
             except Exception as error:  # Pillow says in many ways that an image is damaged
                 self._notes.missing.append(_sentence(error))
                 pixels = None

@@ -1,4 +1,4 @@
-"""Textures that an X3D file names: read from the file's folder, once each, within a limit for the whole scene."""
+"""Textures that a scene file names or holds: read from its folder, once each, within a limit for the whole scene."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from .folder import ResourceFolder
-from .images import decode_image, read_image
+from .images import decode_image, pixels_of, read_image
 from .limits import MAX_PIXELS
 
 
 class TextureReader:
-    """Reads the images behind ImageTexture urls; row 0 of an image is its bottom row."""
+    """Reads the images of a scene; row 0 of an image is its bottom row."""
 
     def __init__(self, folder: ResourceFolder) -> None:
         self.folder = folder
@@ -37,13 +38,27 @@ class TextureReader:
                 reasons.append(str(error))
         raise ValueError(" / ".join(reasons))
 
+    def opened(self, image: Image.Image, path: Path) -> np.ndarray:
+        """The pixels of an image that stands in the scene's own file, at `path`, and was opened by Pillow.
+
+        Raises:
+            ValueError: it cannot be decoded, or the scene has too many pixels; says why.
+        """
+        self._take(image.width * image.height)
+        return np.flipud(pixels_of(image, path))
+
+    def _take(self, pixels: int) -> None:
+        """Take pixels from those that the scene may have; an error from the moment on that there are not enough."""
+        self._pixels_left -= pixels
+        if self._pixels_left < 0:
+            raise ValueError(f"the scene's textures have more than {MAX_PIXELS} pixels together")
+
     def _image(self, url: str) -> tuple[np.ndarray, Path | None]:
         key = url if url.startswith("data:") else self.folder.find(url)
         if key not in self._read:
+            self._take(0)
             image = np.flipud(_decode_data_url(key) if isinstance(key, str) else read_image(key))
-            self._pixels_left -= image.shape[0] * image.shape[1]
-            if self._pixels_left < 0:
-                raise ValueError(f"the scene's textures have more than {MAX_PIXELS} pixels together")
+            self._take(image.shape[0] * image.shape[1])
             image.setflags(write=False)
             self._read[key] = image
         return self._read[key], key if isinstance(key, Path) else None
