@@ -96,8 +96,9 @@ def scene_from_nodes(children: nodes.Node | Sequence[nodes.Node], *, dtype: Any 
     scoped = {group for light, _, group in lights if not light.global_}
     surfaces: dict[tuple[Surface, frozenset[int]], int] = {}
     placed = []
+    row_of = {id(node): row for rows in (materials, textures) for row, node in enumerate(rows)}
     for shape, to_world, above in walk.shapes:
-        key = (_surface(shape, materials, textures), frozenset(above) & scoped)
+        key = (_surface(shape, row_of), frozenset(above) & scoped)
         row = surfaces.setdefault(key, len(surfaces))
         placed.append(PlacedShape(shape, to_world, row))
 
@@ -145,16 +146,13 @@ def _texture(shape: nodes.Shape) -> nodes.ImageTexture | nodes.PixelTexture | No
     return texture if texture is not None and texture.image is not None else None
 
 
-def _row(rows: list[Any], node: nodes.Node | None) -> int:
-    return next((i for i, other in enumerate(rows) if other is node), -1)
-
-
-def _surface(shape: nodes.Shape, materials: list[nodes.Material], textures: list[Any]) -> Surface:
-    """The shape's row of tables 17.2 and 17.3."""
-    material = _row(materials, shape.appearance.material if shape.appearance else None)
+def _surface(shape: nodes.Shape, row_of: dict[int, int]) -> Surface:
+    """The shape's row of tables 17.2 and 17.3, given the rows of materials and textures by identity."""
+    material = row_of.get(id(shape.appearance.material), -1) if shape.appearance else -1
     color = getattr(shape.geometry, "color", None)
     components = 0 if color is None or len(color.color) == 0 else color.color.shape[1]
-    return Surface("lit" if material >= 0 else "unlit", material, _row(textures, _texture(shape)), components)
+    texture = row_of.get(id(_texture(shape)), -1)
+    return Surface("lit" if material >= 0 else "unlit", material, texture, components)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,0 +1,32 @@
+"""Nodes -> Scene: which nodes share a row, and that large scenes are flattened in time in proportion to their size."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from jaxlight import Scene, nodes
+
+
+def shape(material: nodes.Material | None, texture: nodes.PixelTexture | None = None) -> nodes.Shape:
+    return nodes.Shape(appearance=nodes.Appearance(material=material, texture=texture))
+
+
+def test_a_node_has_one_row_however_often_it_is_used_and_nodes_that_are_alike_stay_apart() -> None:
+    red, also_red = nodes.Material(diffuse_color=(1, 0, 0)), nodes.Material(diffuse_color=(1, 0, 0))
+    wood, also_wood = (nodes.PixelTexture(image=np.ones((1, 1, 3))) for _ in range(2))
+    pairs = [(red, None), (also_red, wood), (red, also_wood), (None, wood), (red, None)]
+    scene = Scene.from_nodes([*(shape(*pair) for pair in pairs), nodes.Shape()])
+    rows = [scene.surfaces[placed.surface] for placed in scene.document.shapes]
+    assert [(row.material, row.texture) for row in rows] == [(0, -1), (1, 0), (0, 1), (-1, 0), (0, -1), (-1, -1)]
+    assert scene.document.materials == (red, also_red)
+    assert scene.document.textures == (wood, also_wood)
+
+
+def test_tens_of_thousands_of_materials_are_flattened_at_once() -> None:
+    shapes = [shape(nodes.Material()) for _ in range(40_000)]
+    start = time.perf_counter()
+    scene = Scene.from_nodes(shapes)
+    assert len(scene.surfaces) == len(scene.document.materials) == 40_000
+    assert time.perf_counter() - start < 10
