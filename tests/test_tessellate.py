@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -230,6 +231,20 @@ def test_random_simple_polygons_keep_their_area() -> None:
         np.testing.assert_allclose(areas.sum(), (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2, rtol=1e-12)
 
 
+def test_a_spiral_of_thousands_of_corners_is_cut_in_seconds() -> None:
+    """Nearly every corner is no ear, and half of them turn right."""
+    angle = np.linspace(0, 20 * math.pi, 1600)
+    inner, outer = (np.stack([r * np.cos(angle), r * np.sin(angle), 0 * r], 1) for r in (1 + angle, 2 + angle))
+    ring = np.concatenate([outer, inner[::-1]])
+    face = nodes.IndexedFaceSet(coord=nodes.Coordinate(point=ring), coord_index=list(range(3200)), convex=False)
+    start = time.perf_counter()
+    areas = area_vectors(triangles_of(face))[:, 2]
+    assert time.perf_counter() - start < 10
+    x, y, _ = ring.T
+    assert len(areas) == 3198 and np.all(areas > 0)
+    np.testing.assert_allclose(areas.sum(), (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2, rtol=1e-12)
+
+
 COLORS = nodes.Color(color=[(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)])
 TWO_FACES = [0, 1, 2, -1, 0, 2, 3, -1]
 
@@ -321,6 +336,14 @@ def test_faces_without_area_are_dropped() -> None:
                 convex=False,
             ),
             "face 0 is concave and has 10001 corners",
+        ),
+        (
+            nodes.IndexedFaceSet(
+                coord=nodes.Coordinate(point=[(i % 2 + 1.0, math.sin(i), 0) for i in range(5999)]),
+                coord_index=[*range(5999), -1] * 3,
+                convex=False,
+            ),
+            "3 concave faces have 17997 corners together; the squares of their numbers of corners may come to 10{8}",
         ),
     ],
 )

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import bisect
 import dataclasses
 
 import numpy as np
 
 MAX_CONCAVE_CORNERS = 10_000
-"""Corners of one concave face; cutting takes time proportional to their square."""
+"""Corners of one concave face; cutting takes time proportional to their square.
+
+The squares of the corners of all concave faces of a shape together are at most that of this number, too.
+"""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -75,7 +79,7 @@ def split_concave(faces: Faces, points: np.ndarray, where: str) -> np.ndarray:
     """[T, 3] corners: convex faces as fans, the others by cutting ears in the plane of the face (X3D 13.3.6 `convex`).
 
     Raises:
-        ValueError: a concave face of more than MAX_CONCAVE_CORNERS corners.
+        ValueError: a concave face of more than MAX_CONCAVE_CORNERS corners, or too many of them together.
     """
     normals = face_normals(faces, points)
     incoming, outgoing = points - points[faces.preceding], points[faces.following] - points
@@ -84,15 +88,24 @@ def split_concave(faces: Faces, points: np.ndarray, where: str) -> np.ndarray:
     concave[faces.face[turn < 0]] = True
     fans = split_fans(dataclasses.replace(faces, count=np.where(concave, 0, faces.count)))
     cut = [fans]
+    _check_corners(np.flatnonzero(concave), faces.count, where)
     for face in np.flatnonzero(concave):
-        count = int(faces.count[face])
-        if count > MAX_CONCAVE_CORNERS:
-            raise ValueError(
-                f"{where}: face {face} is concave and has {count} corners; at most {MAX_CONCAVE_CORNERS} are cut"
-            )
-        corners = faces.start[face] + np.arange(count)
+        corners = faces.start[face] + np.arange(faces.count[face])
         cut.append(corners[_cut_ears(_in_plane(points[corners], normals[face]))])
     return np.concatenate(cut)
+
+
+def _check_corners(concave: np.ndarray, count: np.ndarray, where: str) -> None:
+    """Refuse more corners than can be cut in a time that one would wait."""
+    for face in concave[count[concave] > MAX_CONCAVE_CORNERS][:1]:
+        raise ValueError(
+            f"{where}: face {face} is concave and has {count[face]} corners; at most {MAX_CONCAVE_CORNERS} are cut"
+        )
+    if np.sum(count[concave].astype(np.float64) ** 2) > MAX_CONCAVE_CORNERS**2:
+        raise ValueError(
+            f"{where}: {len(concave)} concave faces have {count[concave].sum()} corners together; the squares of their "
+            f"numbers of corners may come to {MAX_CONCAVE_CORNERS**2}"
+        )
 
 
 def _in_plane(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -105,39 +118,93 @@ def _in_plane(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
 def _cut_ears(points: np.ndarray) -> np.ndarray:
     """[n - 2, 3] triangles of a simple polygon [n, 2] that runs counterclockwise.
 
-    A corner is an ear when it turns left and no other corner lies in its triangle. A polygon that is not simple has
-    no ear at some point; the next corner in turn is then cut off, so that the result is finite (X3D: undefined).
+    A corner is an ear when it turns left and no other corner lies in its triangle; if one does, so does one that turns
+    right. Cutting an ear leaves all corners but its two neighbours what they were, so each is looked at a few times.
+    A polygon that is not simple has no ear at some point; the next corner in turn is then cut off, so that the result
+    is finite (X3D: undefined).
     """
-    ring = list(range(len(points)))
+    ring = _Ring(points)
     triangles = []
     at = 0
-    misses = 0
-    while len(ring) > 3:
-        at %= len(ring)
-        a, b, c = ring[at - 1], ring[at], ring[(at + 1) % len(ring)]
-        if misses < len(ring) and not _is_ear(points, a, b, c, ring):
-            misses += 1
-            at += 1
-            continue
-        triangles.append((a, b, c))
-        ring.pop(at)
-        misses = 0
-        at += 1  # every other corner first: fewer slivers than cutting along one side
-    triangles.append(tuple(ring))
+    while ring.count > 3:
+        at = ring.ear_from(at)
+        before, after = ring.preceding[at], ring.following[at]
+        triangles.append((before, at, after))
+        ring.cut(at)
+        at = ring.following[after]  # every other corner first: fewer slivers than cutting along one side
+    triangles.append(tuple(sorted((ring.preceding[at], at, ring.following[at]))))
     return np.array(triangles, dtype=np.int64)
 
 
-def _is_ear(points: np.ndarray, a: int, b: int, c: int, ring: list[int]) -> bool:
-    pa, pb, pc = points[a], points[b], points[c]
+class _Ring:
+    """The corners of a polygon [n, 2] that are not cut off yet, and which of them are ears."""
 
-    def left_of(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
-        return (q[0] - p[0]) * (r[..., 1] - p[1]) - (q[1] - p[1]) * (r[..., 0] - p[0])
+    def __init__(self, points: np.ndarray) -> None:
+        self.count = len(points)
+        self.following = [*range(1, self.count), 0]
+        self.preceding = [self.count - 1, *range(self.count - 1)]
+        self._points = points
+        self._places: list[tuple[float, float]] = [(x, y) for x, y in points.tolist()]
+        self._left = np.ones(self.count, dtype=bool)
+        self._turns_right = np.zeros(self.count, dtype=bool)
+        """Also corners without a turn."""
+        self._ears: list[int] = []
+        """In ascending order."""
+        self._looks = 6
+        """How often all corners are looked at: again only where some touch one another."""
 
-    if left_of(pa, pb, pc) <= 0:
-        # A corner without a turn may go once nothing is lost: its triangle has no area.
-        return bool(left_of(pa, pb, pc) == 0 and np.dot(pb - pa, pc - pb) >= 0)
-    others = points[ring]
-    inside = (left_of(pa, pb, others) >= 0) & (left_of(pb, pc, others) >= 0) & (left_of(pc, pa, others) >= 0)
-    # Corners of the ear itself, and corners that coincide with one (a bridge to a hole), do not count.
-    own = np.any(np.all(others[:, None] == np.stack([pa, pb, pc]), axis=2), axis=1)
-    return not np.any(inside & ~own)
+    def ear_from(self, corner: int) -> int:
+        """The first ear from a corner on; the corner itself if there is none."""
+        if not self._ears and self._looks > 0:
+            self._looks -= 1
+            self._look_at(np.flatnonzero(self._left).tolist())
+        return self._ears[bisect.bisect_left(self._ears, corner) % len(self._ears)] if self._ears else corner
+
+    def cut(self, corner: int) -> None:
+        """Take a corner away."""
+        before, after = self.preceding[corner], self.following[corner]
+        self.following[before], self.preceding[after] = after, before
+        self.count -= 1
+        self._left[corner] = self._turns_right[corner] = False
+        self._note(corner, is_ear=False)
+        self._look_at([before, after])
+
+    def _look_at(self, corners: list[int]) -> None:
+        turns = [self._turn(corner) for corner in corners]
+        self._turns_right[corners] = [turn <= 0 for turn in turns]
+        for corner, turn in zip(corners, turns, strict=True):
+            self._note(corner, is_ear=self._may_go(corner) if turn == 0 else turn > 0 and self._is_empty(corner))
+
+    def _note(self, corner: int, *, is_ear: bool) -> None:
+        place = bisect.bisect_left(self._ears, corner)
+        if (self._ears[place : place + 1] == [corner]) == is_ear:
+            return
+        if is_ear:
+            self._ears.insert(place, corner)
+        else:
+            self._ears.pop(place)
+
+    def _turn(self, corner: int) -> float:
+        (ax, ay), (bx, by), (cx, cy) = self._triangle(corner)
+        return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+
+    def _may_go(self, corner: int) -> bool:
+        """A corner without a turn may go once nothing is lost: its triangle has no area."""
+        (ax, ay), (bx, by), (cx, cy) = self._triangle(corner)
+        return (bx - ax) * (cx - bx) + (by - ay) * (cy - by) >= 0
+
+    def _is_empty(self, corner: int) -> bool:
+        """Whether no corner lies in a corner's triangle."""
+        a, b, c = self._triangle(corner)
+        others = self._points[self._turns_right]
+        x, y = others[:, 0], others[:, 1]
+
+        def left_of(p: tuple[float, float], q: tuple[float, float]) -> np.ndarray:
+            return (q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0])
+
+        inside = others[(left_of(a, b) >= 0) & (left_of(b, c) >= 0) & (left_of(c, a) >= 0)]
+        # Corners of the triangle itself, and corners that coincide with one (a bridge to a hole), do not count.
+        return all(tuple(other) in (a, b, c) for other in inside)
+
+    def _triangle(self, corner: int) -> tuple[tuple[float, float], ...]:
+        return self._places[self.preceding[corner]], self._places[corner], self._places[self.following[corner]]
