@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-import tempfile
+import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,11 +15,11 @@ def written_whole(path: Path) -> Iterator[Path]:
 
     A reader sees the old file or the whole new one; also after a crash or a power cut.
     """
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem[:40]}.", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    draft = Path(name)
+    mode = path.stat().st_mode & 0o777 if path.exists() else None
+    draft = _new_file_beside(path, 0o666 if mode is None else mode)
     try:
-        draft.chmod(path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~_umask())
+        if mode is not None:
+            draft.chmod(mode)
         yield draft
         with draft.open("rb") as content:
             os.fsync(content.fileno())
@@ -29,6 +29,17 @@ def written_whole(path: Path) -> Iterator[Path]:
         draft.unlink(missing_ok=True)
 
 
+def _new_file_beside(path: Path, mode: int) -> Path:
+    """An empty file of a name that nothing had before; the system takes from the mode what the process's mask says."""
+    while True:
+        draft = path.parent / f".{path.stem[:40]}.{secrets.token_hex(8)}{path.suffix}"
+        try:
+            os.close(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode))
+        except FileExistsError:
+            continue
+        return draft
+
+
 def _flush_folder(folder: Path) -> None:
     """Make the new name of a file last: without it a power cut can bring the old file back."""
     handle = os.open(folder, os.O_RDONLY)
@@ -36,9 +47,3 @@ def _flush_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
