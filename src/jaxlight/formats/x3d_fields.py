@@ -134,11 +134,6 @@ def python_name(kind: type[nodes.Node], holder: str) -> str | None:
     return next((name for name in kind.accepts if _camel_case(name) == holder), None)
 
 
-def container_field(name: str) -> str:
-    """The containerField of a node-valued field."""
-    return _camel_case(name)
-
-
 def version_defaults(kind: type[nodes.Node], version: tuple[int, int]) -> dict[str, Any]:
     """The defaults of a class in a version of X3D, where they differ from the class's own (reading 14)."""
     if kind is nodes.SpotLight:

@@ -21,11 +21,6 @@ def with_change(function: Callable[..., Any], primals: tuple[Any, ...], tangents
     return jax.jvp(of_moving, [leaves[number] for number in moving], [changes[number] for number in moving])
 
 
-def change_of(function: Callable[..., Any], primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> Any:
-    """The change of function(*primals) by those tangents that are not symbolic zeros."""
-    return with_change(function, primals, tangents)[1]
-
-
 def moving_leaves(tangents: Any) -> tuple[list[Any], list[int]]:
     """The leaves of tangents, and which of them are no symbolic zeros."""
     changes = jax.tree.leaves(tangents, is_leaf=_is_zero)
