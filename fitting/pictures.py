@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
+from jaxlight.formats.quantize import quantize
+
 CAPTION = 18
 """Height of a caption in pixels."""
 
@@ -24,8 +26,7 @@ def save_grid(path: Path, rows: Sequence[Mapping[str, np.ndarray]]) -> None:
     for y, row in enumerate(rows):
         for x, (caption, picture) in enumerate(row.items()):
             corner = (x * width, y * (height + CAPTION))
-            levels = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
-            sheet.paste(Image.fromarray(levels).convert("RGB"), (corner[0], corner[1] + CAPTION))
+            sheet.paste(Image.fromarray(quantize(picture)).convert("RGB"), (corner[0], corner[1] + CAPTION))
             label = Image.new("RGB", (width, CAPTION), "white")
             ImageDraw.Draw(label).text((4, 3), caption, fill="black")
             sheet.paste(label, corner)

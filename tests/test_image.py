@@ -1,4 +1,4 @@
-"""Samples to pixels, the sky, transfer functions, quantisation, comparison."""
+"""Samples to pixels, the sky, transfer functions, comparison."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ import pytest
 from jaxlight import Camera, LightingOptions, SampleBuffer, Scene, compare, nodes, rasterize, render, shade
 from jaxlight.image import (
     decode,
-    dequantize,
     encode,
     linear_to_srgb,
-    quantize,
     resolve,
     sky,
     srgb_to_linear,
@@ -147,16 +145,6 @@ def test_srgb_is_the_standard_curve_and_its_inverse() -> None:
     np.testing.assert_allclose(slopes, [12.92] * 4 + [1.055 / 2.4], rtol=1e-5)
 
 
-def test_quantisation_rounds_and_comes_back() -> None:
-    levels = jnp.arange(256, dtype=jnp.uint8)
-    np.testing.assert_array_equal(quantize(dequantize(levels)), levels)
-    fine = jnp.arange(65536, dtype=jnp.uint16)
-    np.testing.assert_array_equal(quantize(dequantize(fine), 16), fine)
-    np.testing.assert_array_equal(
-        quantize(jnp.array([-1.0, 0.4999 / 255, 0.5001 / 255, 1.0, 7.0])), [0, 0, 1, 255, 255]
-    )
-
-
 def test_comparison_figures() -> None:
     reference = np.zeros((2, 3, 3))
     reference[0, 0] = (1, 0, 0)
@@ -185,8 +173,6 @@ def test_comparison_figures() -> None:
         (lambda: compare(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((3, 3))), r"mask: expected shape \[2, 3\]"),
         (lambda: compare(np.full((2, 3), np.nan), np.zeros((2, 3))), "image is not finite at row 0, column 0"),
         (lambda: encode(np.zeros(3), "gamma"), "expected 'none' or 'srgb', got 'gamma'"),  # type: ignore[arg-type]
-        (lambda: quantize(np.zeros(3), 10), "bits: expected 8 or 16, got 10"),  # type: ignore[arg-type]
-        (lambda: dequantize(np.zeros(3)), "expected uint8 or uint16, got float"),
     ],
 )
 def test_errors_say_what_is_wrong(act: object, message: str) -> None:

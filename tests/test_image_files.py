@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from jaxlight import SceneFileError, read_image, write_image
+from jaxlight.formats.quantize import quantize
 
 
 def test_rows_start_at_the_top_and_values_lie_in_the_unit_interval(tmp_path: Path) -> None:
@@ -37,6 +38,18 @@ def test_png_comes_back_exactly(tmp_path: Path, components: int, bits: int) -> N
     assert again.shape == image.shape
     assert np.array_equal(np.rint(again * (2**bits - 1)), np.rint(image * (2**bits - 1)))
     assert np.allclose(again, image, atol=1e-7, rtol=0)
+
+
+@pytest.mark.parametrize(("bits", "kind"), [(8, np.uint8), (16, np.uint16)])
+def test_integers_are_numbers_rounded_and_clamped(bits: Any, kind: type) -> None:
+    largest = 2**bits - 1
+    levels = np.arange(largest + 1)
+    assert quantize(levels / largest, bits).dtype == kind
+    assert np.array_equal(quantize(levels / largest, bits), levels)
+    assert np.array_equal(quantize(np.float32(levels / largest), bits), levels)
+    beyond = np.array([-1, 0.4999, 0.5001, 7 * largest]) / largest
+    assert quantize(beyond, bits).tolist() == [0, 0, 1, largest]
+    assert quantize([0.5 / 255, 1.5 / 255]).tolist() == [0, 2]  # halves to the even one
 
 
 def test_writing_rounds_and_clamps(tmp_path: Path) -> None:

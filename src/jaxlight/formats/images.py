@@ -15,6 +15,7 @@ from PIL import Image, ImageOps
 
 from .errors import SceneFileError
 from .limits import MAX_PIXELS, read_bounded
+from .quantize import quantize
 from .safe_write import written_whole
 
 _PILLOW_FORMATS = ("PNG", "JPEG", "BMP", "GIF", "TIFF", "WEBP")
@@ -113,9 +114,9 @@ def write_image(path: str | Path, image: Any, *, bits: int = 8) -> None:
         if suffix == ".exr":
             _write_with_openimageio(draft, pixels.astype(np.float32), "float")
         elif bits == 16:
-            _write_16_bit_png(draft, np.rint(np.clip(pixels, 0, 1) * 65535).astype(np.uint16))
+            _write_16_bit_png(draft, quantize(pixels, 16))
         else:
-            levels = np.rint(np.clip(pixels, 0, 1) * 255).astype(np.uint8)
+            levels = quantize(pixels)
             squeezed = levels[:, :, 0] if levels.shape[2] == 1 else levels
             options: dict[str, Any] = {} if suffix == ".png" else {"quality": 95, "subsampling": 0}
             Image.fromarray(squeezed, _MODES[levels.shape[2]]).save(draft, **options)

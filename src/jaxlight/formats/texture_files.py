@@ -17,6 +17,7 @@ from .errors import SceneFileError
 from .folder import ResourceFolder
 from .images import read_image, write_image
 from .limits import read_bounded
+from .quantize import quantize
 from .safe_write import written_whole
 
 
@@ -95,7 +96,7 @@ def _holds(scene_path: Path, url: str, image: np.ndarray) -> bool:
         found = np.flipud(read_image(ResourceFolder(scene_path).find(url)))
     except (SceneFileError, ValueError, ImportError):
         return False
-    return found.shape == image.shape and np.array_equal(np.rint(found * 255), np.rint(image * 255))
+    return found.shape == image.shape and np.array_equal(quantize(found), quantize(image))
 
 
 def named_files(scene_path: Path, everything: Iterable[nodes.Node]) -> set[Path]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from .limits import MAX_PIXELS
+from .quantize import quantize
 
 _COMMAS_ARE_BLANKS = bytes.maketrans(b",\t\r\n", b"    ")
 _FLOAT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
@@ -185,7 +186,7 @@ def format_image(image: np.ndarray | None) -> str:
     if image is None:
         return "0 0 0"
     height, width, components = image.shape
-    levels = np.rint(np.asarray(image, dtype=np.float64) * 255).astype(np.int64)
+    levels = quantize(image).astype(np.int64)
     shifts = 8 * np.arange(components - 1, -1, -1)
     pixels = (levels << shifts).sum(axis=2).ravel().tolist()
     return " ".join([f"{width} {height} {components}", *(f"0x{pixel:0{2 * components}X}" for pixel in pixels)])
