@@ -32,7 +32,8 @@ class Gradcheck:
     height: int = 64
     """Pixels."""
     viewpoint: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
-    """DEF name or number of a Viewpoint (default: the first; without any, a camera that frames the shapes)."""
+    """DEF name or number of a Viewpoint (default: the first; without any, X3D's own if it shows all shapes at a fair
+    size, otherwise a camera that frames them)."""
     tolerance: float | None = None
     """Error that passes (default: 1e-6 in float64, 1e-3 in float32)."""
     precision: Precision = "float64"

@@ -143,7 +143,8 @@ def _as_text(title: str, description: dict[str, Any]) -> str:
         f"{shape['geometry'] or 'no geometry'}, {shape['material'] or 'unlit'}" for shape in description["shapes"]
     )
     row("shapes", [f"{count} x {what}" for what, count in shapes.items()])
-    row("cameras", [_camera(view) for view in description["viewpoints"]] or ["none: the renderer frames the shapes"])
+    none = "none: X3D's default view if it shows all shapes at a fair size, otherwise one that frames them"
+    row("cameras", [_camera(view) for view in description["viewpoints"]] or [none])
     total = len(description["shapes"])
     lights = [
         f"{light['name']}, {'on' if light['on'] else 'off'}, {light['in_scope_of_shapes']} of {total} shapes in scope"

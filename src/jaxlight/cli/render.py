@@ -22,12 +22,12 @@ class Render:
     $ jaxlight render scene.x3d --output big.png --width 1920 --height 1080 --samples 16
     $ jaxlight render scene.x3d --output linear.png --encode srgb --viewpoint top
 
-    The picture holds the equation's numbers as they are, as X3D browsers show them; values above 1 are clamped."""
+    The picture holds the equation's numbers as they are, as X3D browsers show them; in .png and .jpg up to 1."""
 
     scene: ScenePath
     """An X3D file, or a mesh (glb, obj, ply, stl)."""
     output: Path
-    """The picture to write (.png)."""
+    """The picture to write (.png, .jpg or .exr)."""
     width: int = 512
     """Pixels."""
     height: int = 512
@@ -35,7 +35,8 @@ class Render:
     samples: int = 1
     """Samples a pixel; 16 gives smooth edges."""
     viewpoint: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
-    """DEF name or number of a Viewpoint (default: the first; without any, a camera that frames the shapes)."""
+    """DEF name or number of a Viewpoint (default: the first; without any, X3D's own if it shows all shapes at a fair
+    size, otherwise a camera that frames them)."""
     encode: Literal["none", "srgb"] = "none"
     """Write the numbers as they are, or as sRGB of linear light."""
     precision: Precision = "float32"

@@ -46,7 +46,10 @@ def rasterize(
         buffer are neighbours in the picture (under many lights: in space). `pixel` counts row by row from the top left.
 
     Raises:
-        ValueError: a size that is not a whole number in range, a scene without geometry, a geometry with a bad index.
+        ValueError: a size that is not a whole number in range, a geometry with a bad index.
+
+    Warns:
+        UserWarning: nothing is seen, or the scene has no geometry; the buffer then has no samples.
     """
     _check_size(width, height, samples)
     offsets = sample_pattern(samples)
