@@ -118,6 +118,15 @@ def test_sample_patterns_fill_every_row_and_column(samples: int) -> None:
         (lambda: Camera.from_intrinsics(np.eye(3), R=np.ones((3, 3))), "R: expected a rotation matrix"),
         (lambda: Camera.from_intrinsics(np.eye(3), t=[1, 2]), "t: expected"),
         (lambda: Camera.view_all(Scene.from_nodes([nodes.Group()])), "no shape with geometry"),
+        *(
+            (
+                lambda angle=angle: Camera.view_all(
+                    Scene.from_nodes([nodes.Shape(geometry=nodes.Box())]), (1, 0, 0), angle
+                ),
+                rf"Camera.view_all: field_of_view: expected radians in \(0, pi\), got {angle}",
+            )
+            for angle in (0.0, -1.0, math.nan, 7.0)
+        ),
         (lambda: sample_pattern(0), r"whole number of samples a pixel in \[1, 256\], got 0"),
         (lambda: sample_pattern(2.0), "whole number"),  # type: ignore[arg-type]
     ],

@@ -55,6 +55,9 @@ def load(path: str | Path, *, dtype: Any = None) -> Scene:
         path: X3D (XML encoding), glb, obj with its mtl, ply or stl.
         dtype: type of the scene's numbers, float32 or float64; default: JAX's (float64 when x64 is enabled).
 
+    Returns:
+        The scene, with the nodes that it came from in its document.
+
     Raises:
         SceneFileError: the file cannot be read, or is not what it should be; says where and why.
     """

@@ -19,6 +19,9 @@ def encode(image: Any, transfer: Transfer = "srgb") -> Array:
         image: any shape; colour only, since alpha is never encoded.
         transfer: "none", or "srgb" (IEC 61966-2-1).
 
+    Returns:
+        sRGB numbers for "srgb", otherwise the image itself; the same shape.
+
     Raises:
         ValueError: an unknown transfer.
     """
@@ -27,7 +30,18 @@ def encode(image: Any, transfer: Transfer = "srgb") -> Array:
 
 
 def decode(image: Any, transfer: Transfer = "srgb") -> Array:
-    """The inverse of `encode`: what a photograph's numbers in [0, 1] say about light."""
+    """The inverse of `encode`: what a photograph's numbers in [0, 1] say about light. Differentiable.
+
+    Args:
+        image: any shape; colour only, since alpha is never encoded.
+        transfer: "none", or "srgb" (IEC 61966-2-1).
+
+    Returns:
+        Linear numbers for "srgb", otherwise the image itself; the same shape.
+
+    Raises:
+        ValueError: an unknown transfer.
+    """
     _check(transfer)
     return srgb_to_linear(image) if transfer == "srgb" else jnp.asarray(image)
 

@@ -48,8 +48,8 @@ class Camera:
         _set(self, "rotation", rotation)
         if (self.field_of_view is None) == (self.intrinsics is None):
             raise ValueError("Camera: expected either field_of_view or intrinsics")
-        if self.field_of_view is not None and not 0 < self.field_of_view < math.pi:
-            raise ValueError(f"Camera.field_of_view: expected radians in (0, pi), got {self.field_of_view!r}")
+        if self.field_of_view is not None:
+            _check_angle("Camera.field_of_view", self.field_of_view)
         if self.intrinsics is not None:
             matrix = _finite("Camera.intrinsics", self.intrinsics, (3, 3))
             if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or np.any(matrix[[1, 2, 2], [0, 0, 1]]) or matrix[2, 2] != 1:
@@ -76,8 +76,13 @@ class Camera:
     def look_at(cls, eye: Any, target: Any, up: Any = (0.0, 1.0, 0.0), field_of_view: float = math.pi / 4) -> Camera:
         """A camera at `eye` that looks at `target`, with `up` upwards in the picture.
 
+        Args:
+            eye, target: [3], places in world space.
+            up: [3], a direction in world space, of any length.
+            field_of_view: radians across the smaller dimension of the picture, in (0, pi).
+
         Raises:
-            ValueError: eye and target coincide, or `up` points along the view.
+            ValueError: eye and target coincide, `up` points along the view, or an angle out of range.
         """
         eye, target, up = (
             _finite(f"Camera.look_at: {what}", value, (3,))
@@ -129,9 +134,15 @@ class Camera:
     def view_all(cls, scene: Scene, direction: Any = (0.0, 0.0, -1.0), field_of_view: float = math.pi / 4) -> Camera:
         """A camera that looks along `direction` from where all shapes of the scene just fit into the picture.
 
+        Args:
+            scene: the scene.
+            direction: [3], world space, of any length.
+            field_of_view: radians across the smaller dimension of the picture, in (0, pi).
+
         Raises:
-            ValueError: the scene has no shape with geometry.
+            ValueError: the scene has no shape with geometry, a direction of length 0, or an angle out of range.
         """
+        _check_angle("Camera.view_all: field_of_view", field_of_view)
         sphere = bounding_sphere(scene)
         if sphere is None:
             raise ValueError("Camera.view_all: the scene has no shape with geometry to look at")
@@ -169,8 +180,14 @@ class Camera:
         return cls.view_all(scene)
 
     def pixel_to_camera(self, width: int, height: int) -> np.ndarray:
-        """[3, 3]: (u, v, 1) in pixels, (0, 0) the outer corner of the top left one, to a direction in camera axes whose
-        z is -1."""
+        """From places in the picture to directions in camera axes.
+
+        Args:
+            width, height: size of the picture in pixels; `intrinsics` do not depend on it.
+
+        Returns:
+            [3, 3]: (u, v, 1) in pixels, (0, 0) the outer corner of the top left one, to a direction whose z is -1.
+        """
         if self.intrinsics is not None:
             # Division by hand keeps zeros zero; camera axes are OpenCV's with y and z turned round.
             (fx, skew, cx), (_, fy, cy), _ = self.intrinsics
@@ -182,11 +199,29 @@ class Camera:
         return np.array([[scale, 0, -scale * width / 2], [0, -scale, scale * height / 2], [0, 0, -1.0]])
 
     def pixel_to_world(self, width: int, height: int) -> np.ndarray:
-        """[3, 3]: (u, v, 1) in pixels to the direction of its ray in world axes, one unit of depth long."""
+        """From places in the picture to directions in world axes.
+
+        Args:
+            width, height: size of the picture in pixels; `intrinsics` do not depend on it.
+
+        Returns:
+            [3, 3]: (u, v, 1) in pixels, as for `pixel_to_camera`, to the direction of its ray, one unit of depth long.
+        """
         return self.rotation @ self.pixel_to_camera(width, height)
 
     def rays(self, width: int, height: int, samples: int = 1) -> Rays:
-        """The rays of a picture in row order (`samples` rays a pixel, one after the other)."""
+        """The rays of a picture in row order.
+
+        Args:
+            width, height: size of the picture in pixels.
+            samples: rays a pixel, one after the other: 1 through its centre, or more on a rotated grid.
+
+        Returns:
+            width * height * samples rays in world space.
+
+        Raises:
+            ValueError: `samples` is no whole number in [1, 256].
+        """
         from .pattern import sample_pattern
 
         offsets = sample_pattern(samples)
@@ -221,6 +256,11 @@ def _upright(toward: np.ndarray, up: np.ndarray) -> np.ndarray:
         raise ValueError(f"Camera: up {up.tolist()} points along the view {toward.tolist()}")
     right = right / length
     return np.stack([right, np.cross(back, right), back], axis=1)
+
+
+def _check_angle(what: str, radians: float) -> None:
+    if not 0 < radians < math.pi:
+        raise ValueError(f"{what}: expected radians in (0, pi), got {radians!r}")
 
 
 def _finite(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
