@@ -6,6 +6,7 @@ import base64
 import io
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,20 +15,22 @@ from PIL import Image
 import jaxlight as jl
 from jaxlight import nodes
 from jaxlight.fit import view_pictures
-from jaxlight.fit.report import ViewPictures, report_page
+from jaxlight.fit.pictures import ViewPictures
+from jaxlight.fit.report import report_page
+from jaxlight.image import resolve
 
 SIZE = 16
 
 
-def make_scene(intensity: float = 1.0) -> jl.Scene:
+def make_scene(intensity: float = 1.0, *, on: bool = True, **changes: Any) -> jl.Scene:
     """A ball and two lamps, one on either side."""
-    material = nodes.Material(name="<ball>", diffuse_color=(0.8, 0.5, 0.2))
+    material = nodes.Material(**{"name": "<ball>", "diffuse_color": (0.8, 0.5, 0.2), **changes})
     return jl.Scene.from_nodes(
         [
             nodes.Viewpoint(position=(0, 0, 4)),
             nodes.Shape(appearance=nodes.Appearance(material=material), geometry=nodes.Sphere()),
-            nodes.PointLight(name="left", location=(-3, 1, 3), intensity=intensity),
-            nodes.PointLight(name="right", location=(3, 1, 3), intensity=intensity),
+            nodes.PointLight(name="left", location=(-3, 1, 3), intensity=intensity, on=on),
+            nodes.PointLight(name="right", location=(3, 1, 3), intensity=intensity, on=on),
         ]
     )
 
@@ -58,6 +61,53 @@ def test_models_show_each_view_with_its_own_lamp_and_exposure(fitted) -> None:
         assert pictures.used.sum() > 20
         np.testing.assert_allclose(pictures.model[pictures.used], pictures.target[pictures.used], atol=1e-5)
     assert not second.used[: SIZE // 2].any() and first.used[: SIZE // 2].any()
+
+
+SKY = (0.2, 0.4, 0.75)
+DIFFERING: dict[str, tuple[dict[str, Any], dict[str, Any], int]] = {
+    "a background": ({}, {"background": SKY}, 1),
+    "a background as a picture": ({}, {"background": np.broadcast_to(SKY, (SIZE, SIZE, 3))}, 1),
+    "a background behind rims": ({}, {"background": SKY, "exposure": 2.0}, 4),
+    "a transparent shape before a background": ({"transparency": 0.5}, {"background": SKY}, 1),
+    "a transparent shape whose alpha is ignored": ({"transparency": 0.5}, {}, 1),
+    "lamps that the scene has switched off": ({"on": False}, {"lights": ["PointLight[*]"]}, 1),
+}
+"""What a view and the scene see differently: the start, the view, and samples a pixel."""
+
+
+@pytest.mark.parametrize("case", DIFFERING)
+def test_the_model_is_what_the_fit_made_of_the_view(case: str) -> None:
+    changes, seen, count = DIFFERING[case]
+    scene = make_scene(diffuse_color=(0.5, 0.5, 0.5), **changes)
+    samples = jl.rasterize(scene, None, SIZE, SIZE, samples=count)
+    background, exposure = seen.get("background"), seen.get("exposure", 1.0)
+    opacity = 1.0 if background is None else 1 - changes.get("transparency", 0.0)
+    target = opacity * np.asarray(jl.render(make_scene(), samples))
+    if background is not None:
+        covered = np.asarray(resolve(np.ones(samples.count), samples))[..., None]
+        target = target + (1 - opacity * covered) * np.asarray(background)
+    view = jl.View(samples, exposure * target, **seen)
+    result = jl.fit(scene, view, "Material[<ball>].diffuse_color")
+    assert result.rms < 1e-6
+    (pictures,) = view_pictures(result, view)
+    np.testing.assert_allclose(pictures.model, pictures.target, atol=1e-5)  # also where no sample is
+
+
+def test_without_a_background_the_scenes_sky_is_behind_the_model() -> None:
+    sky = nodes.Background(sky_color=(SKY,))
+    scene = jl.Scene.from_nodes([*make_scene().document.children, sky])
+    samples = jl.rasterize(scene, None, SIZE, SIZE, samples=4)
+    target = np.asarray(jl.render(scene, samples))
+    view = jl.View(samples, target)
+    (pictures,) = view_pictures(jl.fit(scene, view, "PointLight[left].intensity"), view)
+    np.testing.assert_allclose(pictures.model, target, atol=1e-5)
+    assert not pictures.used.all() and pictures.used.any()
+
+
+def test_other_views_than_the_fits_are_refused(fitted) -> None:
+    result, views, _ = fitted
+    with pytest.raises(ValueError, match="views: expected the 2 that were fitted, got 1"):
+        view_pictures(result, views[:1])
 
 
 def test_a_target_in_sample_order_is_shown_where_it_belongs(fitted) -> None:

@@ -70,7 +70,6 @@ class FitJob:
         if method is not None and self.resume:
             raise ValueError(f"--resume: the solver {problem.solver} has no checkpoints")
         frees = [dataclasses.asdict(one) for one in problem.frees]
-        options = problem.reading.lighting_options()
         with blamed_on(source):
             result = fit(
                 scene,
@@ -78,7 +77,7 @@ class FitJob:
                 [Free(one.pop("path"), **one) for one in frees],
                 loss=problem.loss,
                 loss_scale=None if problem.loss == "squares" else problem.loss_scale,
-                options=options,
+                options=problem.reading.lighting_options(),
                 max_steps=problem.max_steps,
                 rtol=problem.rtol,
                 atol=problem.atol,
@@ -91,7 +90,7 @@ class FitJob:
                 checkpoint_seconds=problem.checkpoint_seconds,
                 resume=self.resume,
             )
-        self._write(result, views, results, options, warned)
+        self._write(result, views, results, warned)
         print(_summary(result))
         print(f"\nwritten: {', '.join(str(path) for path in results)}")
         if result.outcome == "interrupted":
@@ -130,22 +129,20 @@ class FitJob:
                     raise ValueError("the headlight is the browser's, no file holds it; add a light to the scene")
         return scene
 
-    def _write(
-        self, result: Any, views: Sequence[Any], results: Sequence[Path], options: Any, warned: Sequence[str]
-    ) -> None:
-        from jaxlight import encode, save, write_image
-        from jaxlight.fit.report import view_pictures, write_report
+    def _write(self, result: Any, views: Sequence[Any], results: Sequence[Path], warned: Sequence[str]) -> None:
+        from jaxlight import encode, save, write_image, write_report
+        from jaxlight.fit import view_pictures
         from jaxlight.formats.safe_write import written_whole
 
         scene_file, *picture_files, report_file, numbers_file = results
         with written_whole(numbers_file) as draft:
             draft.write_text(json.dumps(_numbers(result), indent=2, allow_nan=False) + "\n")
         asked = self.problem.views
-        for path, one, pictures in zip(picture_files, asked, view_pictures(result, views, options), strict=True):
+        for path, one, pictures in zip(picture_files, asked, view_pictures(result, views), strict=True):
             write_image(path, encode(pictures.model, one.decode))
         title = f"{self.problem.scene.name} fitted to {', '.join(one.picture.name for one in asked)}"
         transfer = "srgb" if all(one.decode == "srgb" for one in asked) else "none"
-        write_report(report_file, result, views, title=title, options=options, transfer=transfer, warnings=warned)
+        write_report(report_file, result, views, title=title, transfer=transfer, warnings=warned)
         save(result.scene, scene_file)
 
 

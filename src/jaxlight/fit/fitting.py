@@ -12,15 +12,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 import equinox as eqx
-import jax
 import numpy as np
 import optimistix as optx
 
 from ..lighting import LightingOptions
 from ..scene.scene import Scene
-from . import normal
 from .checkpoint import Checkpoint, CheckpointWarning
 from .minimisers import minimise
+from .pictures import residual_image
 from .problem import Description, Problem, make_problem
 from .record import Record
 from .residuals import LossKind
@@ -30,7 +29,7 @@ from .starts import explore, random_starts
 from .steps import Step, describe_step
 from .steps import rms as step_rms
 from .uncertainty import Uncertainty, uncertainty
-from .views import View, ViewData
+from .views import View
 
 Outcome = Literal["converged", "max_steps", "stalled", "nonfinite", "interrupted"]
 
@@ -321,34 +320,3 @@ def _message(outcome: Outcome, state: FitState, history: Sequence[Step], rms: fl
         "interrupted": f"Interrupted after {trials}, not converged; the best values so far are kept; "
         f"residual RMS {rms:.3g}.",
     }[outcome]
-
-
-def residual_image(problem: Problem, values: Any, view: int) -> np.ndarray:
-    """See `Fit.residual_image`."""
-    for stack in problem.views:
-        for position, row in enumerate(np.asarray(stack.row).tolist()):
-            if row == view:
-                return _as_picture(*_residual_planes(problem, values, stack, position))
-    raise ValueError(f"view: expected a row of the {len(problem.world.exposure)} views, got {view}")
-
-
-@eqx.filter_jit
-def _residual_planes(problem: Problem, values: Any, stack: ViewData, position: Any) -> tuple[Any, ViewData]:
-    data = jax.tree.map(lambda leaf: leaf[position], stack)
-    return normal.view_residual(problem, problem.at(values), data), data
-
-
-def _as_picture(residual: Any, data: ViewData) -> np.ndarray:
-    samples = data.samples
-    if data.pixel is not None:
-        pixels = np.full(residual.shape[1] + 1, -1)
-        pixels[np.asarray(data.pixel)] = np.asarray(samples.pixel_slots)
-        rows, pixel = np.asarray(residual).T, pixels[:-1]
-    else:
-        rows = np.asarray(samples.in_sample_order(residual)).T
-        pixel = None if samples.pixel is None else np.asarray(samples.pixel)
-    if pixel is None or samples.width is None or samples.height is None:
-        return rows
-    picture = np.full((samples.height * samples.width, 3), np.nan, dtype=rows.dtype)
-    picture[pixel] = rows
-    return picture.reshape(samples.height, samples.width, 3)

@@ -233,8 +233,13 @@ def residuals(problem: Problem, values: Float[Array, " parameters"]) -> tuple[Ar
 
 def view_residual(problem: Problem, world: World, view: ViewData) -> Float[Array, "3 points"]:
     """The weighted residuals of one view, all points at once, in storage order."""
-    color = view_colors(scene_of_view(world, view), view, world.exposure[view.row])
+    color = view_model(world, view)
     return weighted_difference(color, view.target, view.root_weight, view.dark, view.saturated)
+
+
+def view_model(world: World, view: ViewData) -> Float[Array, "3 points"]:
+    """What the world looks like in one view, all points at once, in storage order."""
+    return view_colors(scene_of_view(world, view), view, world.exposure[view.row])
 
 
 def _prior_loss(problem: Problem, values: Array) -> Array:

@@ -7,25 +7,22 @@ what the pictures do not tell, and the warnings of the run.
 from __future__ import annotations
 
 import base64
-import dataclasses
 import html
 import importlib.metadata
 import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from ..formats.safe_write import written_whole
-from ..image import encode, render, resolve
+from ..image import encode
 from ..image.encode import Transfer
-from ..lighting import LightingOptions
-from ..scene.paths import LIGHT_KINDS, light_rows
-from ..scene.scene import Flags, Scene
 from .fitting import Fit
+from .pictures import ViewPictures, view_pictures
 from .steps import Step
 from .views import View
 
@@ -41,23 +38,12 @@ SHOWN = 0.995
 """Share of the differences that lie within the colours of the map."""
 
 
-class ViewPictures(NamedTuple):
-    """One view as a report shows it. [height, width, 3], row 0 at the top, in the numbers of the target."""
-
-    name: str
-    target: np.ndarray
-    model: np.ndarray
-    used: np.ndarray
-    """[height, width]: True where the fit looked."""
-
-
 def write_report(
     path: str | Path,
     result: Fit,
     views: View | Sequence[View],
     *,
     title: str = "Fit",
-    options: LightingOptions | None = None,
     transfer: Transfer = "none",
     warnings: Sequence[str] | None = None,
 ) -> None:
@@ -68,62 +54,16 @@ def write_report(
         result: what `fit` returned.
         views: the views that it was given.
         title: the page's heading.
-        options: readings of the specification, as `fit` was given them.
         transfer: "srgb" if the views' numbers are linear light, so that they look right on the page.
         warnings: what was said while scene and pictures were read and fitted, a sentence each; None: not known.
+
+    Raises:
+        ValueError: another number of views than the fit had.
     """
-    pictures = view_pictures(result, views, options)
+    pictures = view_pictures(result, views)
     page = report_page(result, pictures, title=title, transfer=transfer, warnings=warnings)
     with written_whole(Path(path)) as draft:
         draft.write_text(page, encoding="utf-8")
-
-
-def view_pictures(
-    result: Fit, views: View | Sequence[View], options: LightingOptions | None = None
-) -> list[ViewPictures]:
-    """What the views show and what the fitted scene makes of them; views whose samples have no pixels are left out."""
-    each = [views] if isinstance(views, View) else list(views)
-    return [
-        _pictures_of_view(result.scene, float(result.exposure[row]), view, f"View[{view.name or row}]", options)
-        for row, view in enumerate(each)
-        if view.samples.pixel_slots is not None
-    ]
-
-
-def _pictures_of_view(
-    scene: Scene, exposure: float, view: View, name: str, options: LightingOptions | None
-) -> ViewPictures:
-    samples = view.samples
-    covered = np.asarray(resolve(np.ones(samples.count), samples), np.float64)
-
-    def as_picture(values: Any) -> np.ndarray:
-        """[height, width, 1 or 3] of what a View takes as a picture or as rows in sample order."""
-        array = np.asarray(values, np.float64)
-        if array.shape[:2] != covered.shape:
-            rows = array[:, None] if array.ndim == 1 else array
-            array = np.asarray(resolve(rows, samples)) / np.maximum(covered, 1e-12)[..., None]
-        return array if array.ndim == 3 else array[..., None]
-
-    used = covered > (1 - 1e-6 if view.background is None else 0)
-    for field in (view.mask, view.weight):
-        if field is not None:
-            used &= np.any(as_picture(field) > 0, axis=-1)
-    target = np.broadcast_to(as_picture(view.target), (*covered.shape, 3))
-    model = exposure * np.asarray(render(_lit_by(scene, view.lights), samples, options), np.float64)
-    return ViewPictures(name, np.nan_to_num(target), model, used)
-
-
-def _lit_by(scene: Scene, lights: Sequence[str] | None) -> Scene:
-    """The scene with all other lights switched off."""
-    if lights is None:
-        return scene
-    rows = light_rows(scene, lights)
-    for attribute, kind in zip(("directional", "point", "spot"), LIGHT_KINDS, strict=True):
-        owner = getattr(scene, attribute)
-        if owner is not None:
-            shining = owner.on.array & np.isin(np.arange(len(owner.on.array)), rows[kind])
-            scene = dataclasses.replace(scene, **{attribute: dataclasses.replace(owner, on=Flags(shining))})
-    return scene
 
 
 def report_page(

@@ -1,0 +1,139 @@
+"""The pictures of a fit: what the scene looks like in each view, and what is left of the target."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from ..image import resolve, sky
+from . import normal
+from .problem import Problem
+from .views import View, ViewData
+
+if TYPE_CHECKING:
+    from .fitting import Fit
+
+
+class ViewPictures(NamedTuple):
+    """One view as people look at it. [height, width, 3], row 0 at the top, in the numbers of the target."""
+
+    name: str
+    target: np.ndarray
+    model: np.ndarray
+    used: np.ndarray
+    """[height, width]: True where the fit looked."""
+
+
+def view_pictures(result: Fit, views: View | Sequence[View]) -> list[ViewPictures]:
+    """What the views show and what the fit made of them; views whose samples have no pixels are left out.
+
+    The model is what the fit compared with the target. What the samples do not cover is the view's background or, in a
+    view without one, the scene's sky.
+
+    Args:
+        result: what `fit` returned.
+        views: the views that it was given.
+
+    Returns:
+        The pictures of each view, in their order.
+
+    Raises:
+        ValueError: another number of views than the fit had.
+    """
+    each = [views] if isinstance(views, View) else list(views)
+    fitted = len(result.exposure)
+    if len(each) != fitted:
+        raise ValueError(f"views: expected the {fitted} that were fitted, got {len(each)}")
+    return [
+        _pictures_of_view(result, row, view) for row, view in enumerate(each) if view.samples.pixel_slots is not None
+    ]
+
+
+def _pictures_of_view(result: Fit, row: int, view: View) -> ViewPictures:
+    samples = view.samples
+    covered = np.asarray(resolve(np.ones(samples.count), samples), np.float64)
+
+    def as_picture(values: Any) -> np.ndarray:
+        """[height, width, 1 or 3] of what a View takes as a picture or as rows in sample order."""
+        array = np.asarray(values, np.float64)
+        if array.shape[:2] != covered.shape:
+            rows = array[:, None] if array.ndim == 1 else array
+            array = np.asarray(resolve(rows, samples)) / np.maximum(covered, 1e-12)[..., None]
+        return array if array.ndim == 3 else array[..., None]
+
+    used = covered > (1 - 1e-6 if view.background is None else 0)
+    for field in (view.mask, view.weight):
+        if field is not None:
+            used &= np.any(as_picture(field) > 0, axis=-1)
+    target = np.broadcast_to(as_picture(view.target), (*covered.shape, 3))
+    if view.background is None:
+        behind, uncovered = sky(result.scene, samples), 1 - covered
+    else:  # the fit has put it behind all that the samples reach
+        behind = view.background if np.shape(view.background) == (3,) else as_picture(view.background)
+        uncovered = (covered == 0).astype(np.float64)
+    seen = np.where(covered[..., None] > 0, model_image(result.problem, result.state.values, row), 0)
+    model = seen + float(result.exposure[row]) * uncovered[..., None] * np.asarray(behind, np.float64)
+    return ViewPictures(f"View[{view.name or row}]", np.nan_to_num(target), model, used)
+
+
+def model_image(problem: Problem, values: Any, view: int) -> np.ndarray:
+    """What the fit compares with the target of a view, its exposure, lamps and background included.
+
+    Args:
+        problem: the fit.
+        values: all of its numbers (`FitState.values`).
+        view: row of the view.
+
+    Returns:
+        [height, width, 3], NaN where nothing was seen; or [N, 3] in sample order, of samples without pixels.
+
+    Raises:
+        ValueError: no such view.
+    """
+    return _as_picture(*_model_planes(problem, values, *_place(problem, view)))
+
+
+def residual_image(problem: Problem, values: Any, view: int) -> np.ndarray:
+    """Weighted residual (model - target) of a view; as `model_image`."""
+    return _as_picture(*_residual_planes(problem, values, *_place(problem, view)))
+
+
+def _place(problem: Problem, view: int) -> tuple[ViewData, int]:
+    """The stack of views that a view lies in, and where."""
+    for stack in problem.views:
+        for position, row in enumerate(np.asarray(stack.row).tolist()):
+            if row == view:
+                return stack, position
+    raise ValueError(f"view: expected a row of the {len(problem.world.exposure)} views, got {view}")
+
+
+@eqx.filter_jit
+def _model_planes(problem: Problem, values: Any, stack: ViewData, position: Any) -> tuple[Any, ViewData]:
+    data = jax.tree.map(lambda leaf: leaf[position], stack)
+    return normal.view_model(problem.at(values), data), data
+
+
+@eqx.filter_jit
+def _residual_planes(problem: Problem, values: Any, stack: ViewData, position: Any) -> tuple[Any, ViewData]:
+    data = jax.tree.map(lambda leaf: leaf[position], stack)
+    return normal.view_residual(problem, problem.at(values), data), data
+
+
+def _as_picture(planes: Any, data: ViewData) -> np.ndarray:
+    samples = data.samples
+    if data.pixel is not None:
+        pixels = np.full(planes.shape[1] + 1, -1)
+        pixels[np.asarray(data.pixel)] = np.asarray(samples.pixel_slots)
+        rows, pixel = np.asarray(planes).T, pixels[:-1]
+    else:
+        rows = np.asarray(samples.in_sample_order(planes)).T
+        pixel = None if samples.pixel is None else np.asarray(samples.pixel)
+    if pixel is None or samples.width is None or samples.height is None:
+        return rows
+    picture = np.full((samples.height * samples.width, 3), np.nan, dtype=rows.dtype)
+    picture[pixel] = rows
+    return picture.reshape(samples.height, samples.width, 3)
