@@ -339,6 +339,11 @@ BAD_FITS = {
     "bad start": (("target.png",), (*FREE, "--start", "Material[red].shininess=2"), "[0, 1]"),
     "start without value": (("target.png",), (*FREE, "--start", "Material[red].shininess"), "PATH=NUMBERS"),
     "start of three": (("target.png",), (*FREE, "--start", "Material[red].shininess=1 0 1"), "expected 1"),
+    "random starts by lbfgs": (
+        ("target.png",),
+        (*FREE, "--solver", "lbfgs", "--starts", 8),
+        "--starts: the solver lbfgs",
+    ),
     "a mask of another size": (("target.png",), (*FREE, "--masks", "small.png"), "small.png: expected 48 x 48"),
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
@@ -102,6 +103,35 @@ def test_another_minimiser_is_logged_but_has_no_checkpoints(tmp_path: Path) -> N
     run(tmp_path, method=method, checkpoint=None, max_steps=2)
     assert [line["event"] for line in events(tmp_path)] == ["begin", "end"]
     assert events(tmp_path)[-1]["outcome"] == "max_steps"
+
+
+def test_what_another_minimiser_cannot_do_is_refused_before_the_log_is_touched(tmp_path: Path) -> None:
+    (tmp_path / "log.jsonl").write_text("an older log")
+    for options, message in (
+        ({"method": optx.LBFGS}, "method: expected an optimistix minimiser such as"),
+        ({"method": "adam"}, "method: expected an optimistix minimiser such as"),
+        ({"method": optx.LBFGS(1e-3, 1e-3), "starts": 8}, "starts: only the bounded Levenberg-Marquardt explores them"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            run(tmp_path, checkpoint=None, **options)
+    assert (tmp_path / "log.jsonl").read_text() == "an older log"
+
+
+@pytest.mark.parametrize(
+    ("error", "outcome", "message"),
+    [(RuntimeError("burst"), "error", "RuntimeError: burst"), (KeyboardInterrupt(), "interrupted", "nothing is kept")],
+)
+def test_the_log_of_another_minimiser_that_breaks_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, outcome: str, message: str
+) -> None:
+    def burst(*args: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(fitting, "minimise", burst)
+    with pytest.raises(type(error)):
+        run(tmp_path, method=optx.LBFGS(1e-3, 1e-3), checkpoint=None)
+    first, last = events(tmp_path)
+    assert first["event"] == "begin" and last["outcome"] == outcome and message in last["message"]
 
 
 # --- resumed ----------------------------------------------------------------------------------------------------------
@@ -209,6 +239,22 @@ def test_an_interrupt_before_the_first_evaluation_claims_nothing(monkeypatch: py
         monkeypatch.setattr(fitting, name, interrupt)
         result = fit(start(), view(), FREE, starts=starts)
         assert result.outcome == "interrupted" and np.isnan(result.loss) and "unchanged" in result.message
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_a_fit_that_ends_while_it_explores_leaves_a_log_and_nothing_to_resume_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[BaseException]
+) -> None:
+    def burst(*args: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(fitting, "explore", burst)
+    with contextlib.nullcontext() if error is KeyboardInterrupt else pytest.raises(error):
+        run(tmp_path, starts=2)
+    first, last = events(tmp_path)
+    assert first["event"] == "begin" and first["free"] and last["event"] == "end"
+    assert last["outcome"] == ("interrupted" if error is KeyboardInterrupt else "error")
+    assert os.listdir(tmp_path) == ["log.jsonl"]  # a checkpoint would say that the starts were explored
 
 
 def test_random_starts_are_explored_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -106,6 +106,8 @@ class FitJob:
             raise self.source.error(("views",), "expected at least one picture")
         if not problem.free:
             raise self.source.error(("free",), "expected at least one field (jaxlight info SCENE lists them)")
+        if problem.starts > 1 and problem.solver != "levenberg-marquardt":
+            raise self.source.error(("starts",), f"the solver {problem.solver} explores no random starts")
         if problem.output.exists() and not problem.output.is_dir():
             raise ValueError(f"{problem.output}: expected a folder, got a file")
         spare(input_files(problem), outputs(problem, problem.output))

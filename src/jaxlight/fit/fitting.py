@@ -18,7 +18,7 @@ import optimistix as optx
 from ..lighting import LightingOptions
 from ..scene.scene import Scene
 from .checkpoint import Checkpoint, CheckpointWarning
-from .minimisers import minimise
+from .minimisers import check_minimiser, minimise
 from .pictures import residual_image
 from .problem import Description, Problem, make_problem
 from .record import Record
@@ -145,9 +145,10 @@ def fit(
         rtol, atol: relative and absolute tolerance of the parameters (default: what the precision can reach).
         starts: more than 1: also begin from that many random places and directions of lights and exponents of
             highlights, a few steps each, and carry on from the lowest.
-        seed: of the random starts.
+        seed: of the random starts; without them it means nothing.
         method: an optimistix minimiser (`optimistix.LBFGS(1e-6, 1e-6)`, `optimistix.OptaxMinimiser(optax.adam(0.01),
-            1e-6, 1e-6)`) instead of the bounded Levenberg-Marquardt; it shows no steps, and only approaches bounds.
+            1e-6, 1e-6)`) instead of the bounded Levenberg-Marquardt; it has tolerances of its own, shows no
+            steps, explores no random starts, and only approaches bounds.
         progress: called with a `Step` after each evaluation; an interrupt (Ctrl-C) returns the best so far.
         log: file that gets a line of JSON a step (`RunLog` says which).
         checkpoint: .npz file from which the fit can be resumed, also after its process was killed.
@@ -165,8 +166,12 @@ def fit(
         raise ValueError(f"max_steps: expected at least 1, got {max_steps}")
     if resume and checkpoint is None:
         raise ValueError("resume: expected a checkpoint to resume from")
-    if method is not None and checkpoint is not None:
-        raise ValueError("checkpoint: only the bounded Levenberg-Marquardt has them, not another method")
+    if method is not None:
+        check_minimiser(method)
+        if checkpoint is not None:
+            raise ValueError("checkpoint: only the bounded Levenberg-Marquardt has them, not another method")
+        if starts > 1:
+            raise ValueError("starts: only the bounded Levenberg-Marquardt explores them, not another method")
     problem, description = make_problem(scene, views, free, loss=loss, loss_scale=loss_scale, options=options)
     solver = make_solver(problem, rtol=rtol, atol=atol)
     if method is not None:
@@ -180,13 +185,6 @@ def fit(
             state, history = saved
         elif resume:
             warnings.warn(f"{checkpoint}: no checkpoint yet; the fit begins", CheckpointWarning, stacklevel=2)
-    if state is None and starts > 1:
-        drawn = random_starts(problem, description.fields, starts, seed)
-        try:
-            state = begin(problem, solver, explore(problem, solver, drawn).best, description.part.every)
-        except KeyboardInterrupt:
-            return make_fit(problem, description, begin(problem, solver), [], interrupted=True)
-    record = Record(log, kept, seconds=checkpoint_seconds, resumed=history)
     return run_fit(
         problem,
         description,
@@ -194,8 +192,9 @@ def fit(
         max_steps=max_steps,
         state=state,
         history=history or (),
+        drawn=random_starts(problem, description.fields, starts, seed) if state is None and starts > 1 else None,
         progress=progress,
-        record=record,
+        record=Record(log, kept, seconds=checkpoint_seconds, resumed=history),
     )
 
 
@@ -204,9 +203,13 @@ def _fit_by(
 ) -> Fit:
     """The fit that another minimiser makes, evaluated like one of ours."""
     began = time.monotonic()
-    record.begin(problem, description, begin(problem, solver), max_steps)
-    values, converged, steps = minimise(problem, method, max_steps)
-    state = advance(problem, solver, begin(problem, solver, values))
+    try:
+        record.begin(problem, description, begin(problem, solver), max_steps)
+        values, converged, steps = minimise(problem, method, max_steps)
+        state = advance(problem, solver, begin(problem, solver, values))
+    except BaseException as error:
+        record.fail(error)
+        raise
     history = [describe_step(problem, description, state, time.monotonic() - began)]
     made = make_fit(problem, description, state, history)
     finite = made.outcome != "nonfinite"
@@ -226,10 +229,12 @@ def run_fit(
     max_steps: int = 100,
     state: FitState | None = None,
     history: Sequence[Step] = (),
+    drawn: np.ndarray | None = None,
     progress: Callable[[Step], Any] | None = None,
     record: Record | None = None,
 ) -> Fit:
-    """Drive a fit from its beginning, or from a saved state and the steps that led to it, to its end."""
+    """Drive a fit to its end: from its beginning, from the best of the starts that were drawn, or from a saved state
+    and the steps that led to it."""
     record = Record(None, None) if record is None else record
     steps = list(history)
     began = time.monotonic() - (steps[-1].seconds if steps else 0.0)
@@ -237,6 +242,8 @@ def run_fit(
     state = begin(problem, solver, every=description.part.every) if state is None else state
     try:
         record.begin(problem, description, state, max_steps)
+        if drawn is not None:
+            state = begin(problem, solver, explore(problem, solver, drawn).best, description.part.every)
         while (following := carried_on(problem, solver, state, steps, max_steps)) is not None:
             new_state = advance(problem, solver, following)
             step = describe_step(problem, description, new_state, time.monotonic() - began, steps, max_steps)
@@ -247,9 +254,10 @@ def run_fit(
     except KeyboardInterrupt:
         interrupted = True
     except BaseException as error:
-        record.end("error", f"{type(error).__name__}: {error}")
+        record.fail(error)
         raise
-    record.save(state, steps)
+    if steps:  # before the first, a resumed fit had better explore its random starts itself
+        record.save(state, steps)
     made = make_fit(problem, description, state, steps, interrupted=interrupted)
     record.end(made.outcome, made.message, loss=made.loss, rms=made.rms, values=made.values)
     return made

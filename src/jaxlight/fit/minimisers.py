@@ -22,21 +22,26 @@ _INSIDE = 1e-3
 """Share of its range that a number which starts on a bound is moved inwards: at the bound itself no slope is left."""
 
 
-def minimise(problem: Problem, minimiser: Any, max_steps: int) -> tuple[Float[Array, " parameters"], bool, int]:
-    """(values, whether the minimiser says it converged, steps) from the problem's start.
-
-    Args:
-        problem: from `make_problem`.
-        minimiser: an `optimistix` minimiser (`optimistix.LBFGS(1e-6, 1e-6)`, `optimistix.OptaxMinimiser(...)`).
-        max_steps: at most.
+def check_minimiser(minimiser: Any) -> None:
+    """Refuse what is no minimiser, before anything is done with it.
 
     Raises:
-        ValueError: not an optimistix minimiser.
+        ValueError: not an `optimistix` minimiser (`optimistix.LBFGS(1e-6, 1e-6)`, `optimistix.OptaxMinimiser(...)`).
     """
     if not isinstance(minimiser, optx.AbstractMinimiser):
         raise ValueError(
             f"method: expected an optimistix minimiser such as optimistix.LBFGS(1e-6, 1e-6), got {minimiser!r:.60}"
         )
+
+
+def minimise(problem: Problem, minimiser: Any, max_steps: int) -> tuple[Float[Array, " parameters"], bool, int]:
+    """(values, whether the minimiser says it converged, steps) from the problem's start.
+
+    Args:
+        problem: from `make_problem`.
+        minimiser: one that `check_minimiser` lets pass.
+        max_steps: at most.
+    """
     values, result, steps = _minimise(problem, minimiser, max_steps)
     return values, bool(result == optx.RESULTS.successful), int(steps)
 

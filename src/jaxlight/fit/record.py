@@ -122,6 +122,13 @@ class Record:
             self._log.close()
             self._log = None
 
+    def fail(self, error: BaseException) -> None:
+        """It ended by an error, or by an interrupt after which nothing is kept."""
+        if isinstance(error, KeyboardInterrupt):
+            self.end("interrupted", "Interrupted; nothing is kept.")
+        else:
+            self.end("error", f"{type(error).__name__}: {error}")
+
     def _write(self, event: str, **content: Any) -> None:
         if self._log is not None:
             self._log.write(event, **content)
