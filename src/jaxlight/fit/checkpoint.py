@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import re
 import warnings
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -89,7 +90,7 @@ class Checkpoint:
         Raises:
             ValueError: it belongs to another problem or another version, or all there is is damaged.
         """
-        for draft in self.path.parent.glob(f".{self.path.stem[:40]}.*{self.path.suffix}"):
+        for draft in self._drafts():
             draft.unlink()  # a run was killed while it wrote
         there = [path for path in (self.path, self.previous) if path.exists()]
         damages = []
@@ -106,6 +107,12 @@ class Checkpoint:
         if damages:
             raise ValueError(f"{'; '.join(damages)}; remove what is damaged to begin anew")
         return None
+
+    def _drafts(self) -> list[Path]:
+        """What `written_whole` began for this file. It cuts names of over 40 characters: such drafts may be another
+        file's and are left."""
+        name = re.compile(re.escape(f".{self.path.stem}.") + r"[a-z0-9_]{8}\.npz")
+        return [path for path in self.path.parent.glob(".*.npz") if name.fullmatch(path.name)]
 
     def _read(self, path: Path) -> Saved:
         try:
