@@ -147,6 +147,14 @@ def test_strength_against_texture_is_named() -> None:
         np.testing.assert_allclose(result.value(SKIN) * strength, skin(), atol=1e-4)
 
 
+def test_a_fit_of_textures_alone_has_an_uncertainty_of_no_numbers() -> None:
+    with precision("float64") as dtype:
+        truth = scene(skin(), dtype)
+        result = fit(scene(np.full((TEXELS, TEXELS, 3), 0.5), dtype), views(truth, dtype), SKIN)
+    assert result.converged and result.labels == ()
+    assert result.uncertainty.well_posed and str(result.uncertainty) == ""
+
+
 def test_texels_stay_in_their_bounds_and_what_no_sample_sees_stays() -> None:
     with precision("float64") as dtype:
         truth = scene(skin(), dtype)

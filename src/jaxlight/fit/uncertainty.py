@@ -69,7 +69,7 @@ class Uncertainty:
         return lines
 
     def __str__(self) -> str:
-        width = max(len(label) for label in self.labels)
+        width = max((len(label) for label in self.labels), default=0)
         rows = [
             f"  {label:<{width}}  +- {error:.3g}" for label, error in zip(self.labels, self.standard_error, strict=True)
         ]
