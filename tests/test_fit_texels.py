@@ -11,7 +11,7 @@ import pytest
 
 from fit_scenes import PRECISIONS, key_light, material, precision
 from jaxlight import Free, SampleBuffer, Scene, View, fit, nodes, shade
-from jaxlight.fit import free, normal
+from jaxlight.fit import chosen, normal
 from jaxlight.fit.curvature import ArrowCurvature
 from jaxlight.fit.problem import make_problem
 
@@ -115,7 +115,7 @@ def test_the_arrow_is_the_dense_matrix(components: int, prior: dict[str, float],
         rows = np.abs(whole[4:, 4:]).sum(axis=1)
         assert np.all(np.asarray(made.curvature.row_sum) >= rows * (1 - 1e-9))
 
-        monkeypatch.setattr(free, "MIN_BLOCK", 10**9)
+        monkeypatch.setattr(chosen, "MIN_BLOCK", 10**9)
         plain = Free(SKIN, deviation=prior.get("deviation"))
         dense, _ = make_problem(scene(image, dtype), seen, [plain, *fields[1:]], loss="cauchy", loss_scale=0.1)
         few = jax.jit(normal.normal_equations)(dense, dense.parameters.start)

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
-import fnmatch
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
 
 from ..scene import paths
-from ..scene.paths import Path, Range
+from ..scene.paths import Path
+from .chosen import Catalogue, Chosen, choose
 from .parameters import FreeField, FreeLeaf, Parameters, TexelBlock, World
-
-MIN_BLOCK = 64
-"""Colours of a whole texture from which on they are eliminated as a block instead of kept in a dense matrix."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,18 +42,6 @@ class Free:
     total_variation: float | None = None
 
 
-class _Chosen(NamedTuple):
-    """One free number before ties are resolved."""
-
-    path: str
-    label: str
-    leaf: paths.Leaf | None
-    row: int
-    component: int
-    element: int
-    range: Range
-
-
 def free_parameters(
     world: World, free: Any, view_names: Sequence[str], dtype: Any, *, blocks: bool = True
 ) -> tuple[Parameters, list[FreeField]]:
@@ -81,11 +64,11 @@ def free_parameters(
     means: list[float] = []
     precisions: list[float] = []
     taken: dict[tuple[Any, int], int] = {}
-    members: dict[str, list[tuple[_Chosen, int]]] = {}
+    members: dict[str, list[tuple[Chosen, int]]] = {}
     whole: list[tuple[Free, paths.Leaf]] = []
-    catalogue = _Catalogue(world)
+    catalogue = Catalogue(world)
     for request in requests:
-        chosen, textures = _choose(catalogue, request.where, view_names, blocks=blocks and not request.tied)
+        chosen, textures = choose(catalogue, request.where, view_names, blocks=blocks and not request.tied)
         whole += [(request, leaf) for leaf in textures]
         if not chosen and textures:
             continue
@@ -135,7 +118,7 @@ def free_parameters(
     return Parameters(*arrays, leaves=tuple(leaves), blocks=tuple(made)), _described(members)
 
 
-def _described(members: dict[str, list[tuple[_Chosen, int]]]) -> list[FreeField]:
+def _described(members: dict[str, list[tuple[Chosen, int]]]) -> list[FreeField]:
     return [
         FreeField(
             path,
@@ -207,89 +190,14 @@ def _requests(free: Any) -> list[Free]:
     return requests
 
 
-class _Catalogue:
-    """All fields of the world, looked up once: as many paths as fields may come."""
-
-    def __init__(self, world: World) -> None:
-        self.scene = world.scene
-        self._exposure = np.asarray(world.exposure)
-        self._arrays: dict[paths.Leaf, np.ndarray] = {}
-        self._fields: dict[paths.Leaf, dict[tuple[int, ...], tuple[int, paths.Field]]] = {}
-        for place, field in enumerate(paths.fields(world.scene)):
-            self._fields.setdefault(field.leaf, {})[field.index] = place, field
-
-    def fields_in(self, leaf: paths.Leaf, mask: np.ndarray) -> list[tuple[int, paths.Field]]:
-        """The fields of a leaf of which some number is in the mask, and their places in the order of all."""
-        fields = self._fields[leaf]
-        if () in fields:
-            return [fields[()]]
-        rows = np.flatnonzero(mask.reshape(len(mask), -1).any(axis=1))
-        return [fields[row,] for row in rows.tolist()]
-
-    def value(self, one: _Chosen) -> float:
-        """The present value of a number."""
-        if one.leaf is not None and one.leaf not in self._arrays:
-            self._arrays[one.leaf] = np.asarray(one.leaf.get(self.scene)).reshape(-1)
-        array = self._exposure if one.leaf is None else self._arrays[one.leaf]
-        value = float(array[one.element])
-        if not np.isfinite(value):
-            raise ValueError(f"{one.label}: a free field must start at a finite value, got {value}")
-        return value
-
-
-def _choose(
-    catalogue: _Catalogue, where: Any, view_names: Sequence[str], *, blocks: bool
-) -> tuple[list[_Chosen], list[paths.Leaf]]:
-    """The numbers that the paths mean, in the order of the scene's fields, and the textures that are meant whole."""
-    each = [where] if isinstance(where, str) or callable(where) else list(where)
-    exposures = [path for path in each if isinstance(path, str) and path.startswith("View[")]
-    chosen = []
-    selections = paths.select(catalogue.scene, [path for path in each if path not in exposures])
-    masks = {selection.leaf: selection.mask for selection in selections}
-    textures = [
-        leaf
-        for leaf, mask in masks.items()
-        if blocks and leaf.kind == "Texture" and mask.size >= MIN_BLOCK and np.all(mask)
-    ]
-    meant = [found for leaf in masks.keys() - set(textures) for found in catalogue.fields_in(leaf, masks[leaf])]
-    for _, field in sorted(meant, key=lambda found: found[0]):
-        mask = masks[field.leaf]
-        numbers = np.arange(mask.size).reshape(mask.shape)[field.index].reshape(-1)
-        wanted = mask[field.index].reshape(-1)
-        labels, row = field.labels(catalogue.scene), field.index[0] if field.index else 0
-        for component in np.flatnonzero(wanted).tolist():
-            label, element = labels[component], int(numbers[component])
-            chosen.append(_Chosen(field.path, label, field.leaf, row, component, element, field.leaf.range))
-    for path in exposures:
-        for row in _exposure_rows(path, view_names):
-            name = f"View[{view_names[row] or row}].exposure"
-            chosen.append(_Chosen(name, name, None, row, 0, row, paths.POSITIVE))
-    return chosen, textures
-
-
-def _exposure_rows(path: str, view_names: Sequence[str]) -> list[int]:
-    match = re.fullmatch(r"View\[(.*)\]\.exposure", path)
-    known = [f"View[{name or row}].exposure" for row, name in enumerate(view_names)]
-    rows = []
-    if match:
-        which = match[1]
-        rows = [i for i, name in enumerate(view_names) if which == "*" or (name and fnmatch.fnmatchcase(name, which))]
-        if not rows and which.isdigit() and int(which) < len(view_names):
-            rows = [int(which)]
-    if not rows:
-        close = difflib.get_close_matches(path, known, n=4, cutoff=0.0)
-        raise ValueError(f"there is no field {path!r}; the closest: {', '.join(close)}")
-    return rows
-
-
-def _check_tie(chosen: list[_Chosen], rows: list[str]) -> None:
+def _check_tie(chosen: list[Chosen], rows: list[str]) -> None:
     sizes = {row: sum(one.path == row for one in chosen) for row in rows}
     if len(set(sizes.values())) > 1:
         listed = ", ".join(f"{row} ({size})" for row, size in sizes.items())
         raise ValueError(f"free: tied fields need the same number of components; got {listed}")
 
 
-def _check_lengths(request: Free, chosen: list[_Chosen]) -> None:
+def _check_lengths(request: Free, chosen: list[Chosen]) -> None:
     sizes = Counter(one.path for one in chosen)
     for option in ("lower", "upper", "mean", "deviation"):
         given = getattr(request, option)
@@ -304,7 +212,7 @@ def _component(given: Any, component: int) -> float:
     return float(array[0 if len(array) == 1 else component])
 
 
-def _bounds(request: Free, one: _Chosen, component: int, value: float) -> tuple[float, float]:
+def _bounds(request: Free, one: Chosen, component: int, value: float) -> tuple[float, float]:
     allowed = one.range
     # An open end is no value one can reach: stop a little before it.
     low = 1e-3 * min(1.0, abs(value)) if allowed.open_below else allowed.lower
@@ -321,7 +229,7 @@ def _bounds(request: Free, one: _Chosen, component: int, value: float) -> tuple[
     return low, high
 
 
-def _prior(request: Free, one: _Chosen, component: int, value: float) -> tuple[float, float | None]:
+def _prior(request: Free, one: Chosen, component: int, value: float) -> tuple[float, float | None]:
     if request.deviation is None:
         if request.mean is not None:
             raise ValueError(f"{one.path}: a prior mean needs a deviation")

@@ -1,0 +1,105 @@
+"""Which numbers a path means, before bounds and ties: a catalogue of all fields of the world."""
+
+from __future__ import annotations
+
+import difflib
+import fnmatch
+import re
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..scene import paths
+from ..scene.paths import Range
+from .parameters import World
+
+MIN_BLOCK = 64
+"""Colours of a whole texture from which on they are eliminated as a block instead of kept in a dense matrix."""
+
+
+class Chosen(NamedTuple):
+    """One free number before ties are resolved."""
+
+    path: str
+    label: str
+    leaf: paths.Leaf | None
+    row: int
+    component: int
+    element: int
+    range: Range
+
+
+class Catalogue:
+    """All fields of the world, looked up once: as many paths as fields may come."""
+
+    def __init__(self, world: World) -> None:
+        self.scene = world.scene
+        self._exposure = np.asarray(world.exposure)
+        self._arrays: dict[paths.Leaf, np.ndarray] = {}
+        self._fields: dict[paths.Leaf, dict[tuple[int, ...], tuple[int, paths.Field]]] = {}
+        for place, field in enumerate(paths.fields(world.scene)):
+            self._fields.setdefault(field.leaf, {})[field.index] = place, field
+
+    def fields_in(self, leaf: paths.Leaf, mask: np.ndarray) -> list[tuple[int, paths.Field]]:
+        """The fields of a leaf of which some number is in the mask, and their places in the order of all."""
+        fields = self._fields[leaf]
+        if () in fields:
+            return [fields[()]]
+        rows = np.flatnonzero(mask.reshape(len(mask), -1).any(axis=1))
+        return [fields[row,] for row in rows.tolist()]
+
+    def value(self, one: Chosen) -> float:
+        """The present value of a number."""
+        if one.leaf is not None and one.leaf not in self._arrays:
+            self._arrays[one.leaf] = np.asarray(one.leaf.get(self.scene)).reshape(-1)
+        array = self._exposure if one.leaf is None else self._arrays[one.leaf]
+        value = float(array[one.element])
+        if not np.isfinite(value):
+            raise ValueError(f"{one.label}: a free field must start at a finite value, got {value}")
+        return value
+
+
+def choose(
+    catalogue: Catalogue, where: Any, view_names: Sequence[str], *, blocks: bool
+) -> tuple[list[Chosen], list[paths.Leaf]]:
+    """The numbers that the paths mean, in the order of the scene's fields, and the textures that are meant whole."""
+    each = [where] if isinstance(where, str) or callable(where) else list(where)
+    exposures = [path for path in each if isinstance(path, str) and path.startswith("View[")]
+    chosen = []
+    selections = paths.select(catalogue.scene, [path for path in each if path not in exposures])
+    masks = {selection.leaf: selection.mask for selection in selections}
+    textures = [
+        leaf
+        for leaf, mask in masks.items()
+        if blocks and leaf.kind == "Texture" and mask.size >= MIN_BLOCK and np.all(mask)
+    ]
+    meant = [found for leaf in masks.keys() - set(textures) for found in catalogue.fields_in(leaf, masks[leaf])]
+    for _, field in sorted(meant, key=lambda found: found[0]):
+        mask = masks[field.leaf]
+        numbers = np.arange(mask.size).reshape(mask.shape)[field.index].reshape(-1)
+        wanted = mask[field.index].reshape(-1)
+        labels, row = field.labels(catalogue.scene), field.index[0] if field.index else 0
+        for component in np.flatnonzero(wanted).tolist():
+            label, element = labels[component], int(numbers[component])
+            chosen.append(Chosen(field.path, label, field.leaf, row, component, element, field.leaf.range))
+    for path in exposures:
+        for row in _exposure_rows(path, view_names):
+            name = f"View[{view_names[row] or row}].exposure"
+            chosen.append(Chosen(name, name, None, row, 0, row, paths.POSITIVE))
+    return chosen, textures
+
+
+def _exposure_rows(path: str, view_names: Sequence[str]) -> list[int]:
+    match = re.fullmatch(r"View\[(.*)\]\.exposure", path)
+    known = [f"View[{name or row}].exposure" for row, name in enumerate(view_names)]
+    rows = []
+    if match:
+        which = match[1]
+        rows = [i for i, name in enumerate(view_names) if which == "*" or (name and fnmatch.fnmatchcase(name, which))]
+        if not rows and which.isdigit() and int(which) < len(view_names):
+            rows = [int(which)]
+    if not rows:
+        close = difflib.get_close_matches(path, known, n=4, cutoff=0.0)
+        raise ValueError(f"there is no field {path!r}; the closest: {', '.join(close)}")
+    return rows
