@@ -272,6 +272,18 @@ def test_tied_fields_share_their_value() -> None:
         np.testing.assert_allclose(result.scene.materials.specular_color[0], [0.4] * 3, rtol=1e-6)
 
 
+def test_a_tie_stays_in_the_bounds_of_all_that_it_ties() -> None:
+    sun = nodes.DirectionalLight(name="sun", direction=(-1.0, -1.0, -2.0), intensity=0.5, global_=True)
+    lamps = [sun, key_light(color=(0.7, 0.7, 0.7))]
+    with precision("float64") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), 4 * sphere_picture(SIZE, *lamps))
+        free = Free(["DirectionalLight[sun].intensity", "PointLight[key].color"], tied="all", lower=(0.1,))
+        result = fit(sphere_scene(*lamps, dtype=dtype), view, free)
+        assert result.values.tolist() == [1.0] and result.converged
+        assert result.uncertainty.at_bound == (("DirectionalLight[sun].intensity", "upper"),)
+        np.testing.assert_array_equal(result.scene.point.color, np.ones((1, 3)))
+
+
 # --- errors, before anything is compiled ---------------------------------------------------------------------------------
 
 
@@ -310,6 +322,8 @@ WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "steps": ({}, {"max_steps": 0}, "max_steps: expected at least 1, got 0"),
     "starts": ({}, {"starts": 0}, "starts: expected at least 1, got 0"),
     "prior": ({}, {"free": Free("Material[body].shininess", mean=0.2)}, "a prior mean needs a deviation"),
+    "a tie of starts": ({}, {"free": Free("Material[body].diffuse_color", tied="all", upper=(1.0, 0.2, 1.0))}, "Material[body].diffuse_color.g starts at 0.5, outside its bounds [0, 0.2]"),
+    "a tie to a start": ({}, {"free": Free(["PointLight[key].location.x", "View[0].exposure"], tied="all")}, "View[0].exposure, which is tied, starts at 0, outside its bounds [0.001, inf]"),
     "tie": ({}, {"free": Free(["Material[body].shininess", "Material[body].diffuse_color"], tied=True)}, "tied fields need the same number of components"),
 }  # fmt: skip
 

@@ -24,7 +24,7 @@ class Free:
         where: path, function of the scene, or several of them.
         lower, upper: bounds tighter than the specification's range; a number, or one a component.
         tied: True: all nodes that `where` means share one value, component by component; "all": all its numbers are
-            one number (a grey colour).
+            one number (a grey colour). It begins at the first one's start and stays in the bounds of all.
         smoothness: whole textures only: standard deviation of the difference of neighbouring texels.
         total_variation: whole textures only: mean absolute difference of neighbouring texels; keeps edges.
         mean, deviation: a Gaussian prior: what the value should be, and how far from it is one standard deviation.
@@ -88,11 +88,14 @@ def free_parameters(
             if (one.leaf, one.element) in taken:
                 raise ValueError(f"free: {one.label} is named twice")
             value = catalogue.value(one)
+            low, high = _bounds(request, one, component, value)
             if request.tied and tie in first_of_row:
                 number = first_of_row[tie]
+                _check_inside(f"{one.label}, which is tied,", values[number], low, high)
+                lower[number], upper[number] = max(lower[number], low), min(upper[number], high)
+                values[number] = min(max(values[number], lower[number]), upper[number])
             else:
                 number = first_of_row[tie] = len(values)
-                low, high = _bounds(request, one, component, value)
                 mean, deviation = _prior(request, one, component, value)
                 values.append(min(max(value, low), high))
                 lower.append(low)
@@ -223,10 +226,14 @@ def _bounds(request: Free, one: Chosen, component: int, value: float) -> tuple[f
         high = min(high, _component(request.upper, component))
     if allowed.open_below and value <= allowed.lower:
         raise ValueError(f"{one.label} starts at {value:g}, but must be in {allowed}")
-    slack = 1e-6 * max(1.0, abs(value))
-    if not low - slack <= value <= high + slack:
-        raise ValueError(f"{one.label} starts at {value:g}, outside its bounds [{low:g}, {high:g}]")
+    _check_inside(one.label, value, low, high)
     return low, high
+
+
+def _check_inside(what: str, start: float, low: float, high: float) -> None:
+    slack = 1e-6 * max(1.0, abs(start))
+    if not low - slack <= start <= high + slack:
+        raise ValueError(f"{what} starts at {start:g}, outside its bounds [{low:g}, {high:g}]")
 
 
 def _prior(request: Free, one: Chosen, component: int, value: float) -> tuple[float, float | None]:
