@@ -19,6 +19,7 @@ from ..scene.paths import Path
 from ..scene.scene import Scene
 from .free import free_parameters
 from .parameters import Parameters, World
+from .widened import widened
 
 MAX_NUMBERS = 12
 """Numbers of one field that are checked; of a texture, this many texels drawn at random."""
@@ -115,7 +116,7 @@ def check_gradients(
         for k in np.concatenate(numbers)
     }
     with jax.enable_x64(True):
-        wide_parameters, wide_world, wide_samples = _widen((parameters, world, samples))
+        wide_parameters, wide_world, wide_samples = widened((parameters, world, samples))
         slopes = {k: _slopes(wide_parameters, wide_world, wide_samples, k, options) for k in tangents}
 
     rows = []
@@ -157,13 +158,6 @@ def _checkable(scene: Scene, wanted: Path | Iterable[Path] | None) -> tuple[list
 def _worst(a: float, b: float) -> float:
     """The larger; NaN if either is NaN."""
     return b if b > a or np.isnan(b) else a
-
-
-def _widen(tree: Any) -> Any:
-    def widen(leaf: Any) -> Any:
-        return jnp.asarray(leaf, jnp.float64) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
-
-    return jax.tree.map(widen, tree)
 
 
 def _image(parameters: Parameters, world: World, samples: SampleBuffer, values: Any, options: Any) -> Any:

@@ -18,6 +18,7 @@ from . import normal
 from .curvature import ArrowCurvature, as_curvature
 from .identify import Ambiguity, Partner, ambiguities, analyse
 from .problem import Description, Problem
+from .widened import widened
 
 
 class Correlation(NamedTuple):
@@ -87,7 +88,7 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
     """
     count = problem.parameters.few
     with jax.enable_x64(True):
-        wide = _widen(problem)
+        wide = widened(problem)
         at = jnp.asarray(np.asarray(values), jnp.float64)
         loss, gradient, curvature, answers, size = (np.asarray(a, np.float64) for a in _reduced(wide, at))
     found = np.asarray(values, np.float64)
@@ -145,13 +146,6 @@ def _reduced(problem: Problem, values: Any) -> tuple[Any, ...]:
 
 def _offsets(problem: Problem) -> list[int]:
     return [block.offset - problem.parameters.few for block in problem.parameters.blocks]
-
-
-def _widen(tree: Any) -> Any:
-    def widen(leaf: Any) -> Any:
-        return jnp.asarray(leaf, jnp.float64) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
-
-    return jax.tree.map(widen, tree)
 
 
 def _pseudo_inverse(curvature: np.ndarray, scale: np.ndarray, use: np.ndarray, nulls: int) -> np.ndarray:
