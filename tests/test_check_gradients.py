@@ -63,6 +63,20 @@ def test_fields_that_are_switched_off_are_named() -> None:
     assert "PointLight[key].radius" in str(check) and "not checked" in str(check)
 
 
+@pytest.mark.parametrize("bits", PRECISIONS)
+def test_where_all_fields_are_switched_off_nothing_is_checked(bits: str) -> None:
+    with precision(bits) as dtype:
+        body = nodes.Shape(appearance=nodes.Appearance(material=material()), geometry=nodes.Sphere())
+        scene = Scene.from_nodes([body, nodes.Fog()], dtype=dtype)
+        check = check_gradients(scene, sphere_samples(8, dtype=dtype), ["Fog.visibility_range"])
+    assert check.rows == () and check.skipped == ("Fog.visibility_range",) and check.passed
+    assert check.dtype == ("float64" if bits == "float64" else "float32")
+    assert str(check).splitlines() == [
+        "Fog.visibility_range  not checked: it is switched off",
+        "nothing was checked: no field has a derivative here",
+    ]
+
+
 @pytest.mark.parametrize(("factor", "flag"), [(1.01, True), (jnp.nan, True), (1.0, False)])
 def test_a_derivative_that_is_wrong_by_a_hundredth_is_flagged(
     monkeypatch: pytest.MonkeyPatch, factor: float, flag: bool

@@ -390,6 +390,13 @@ def test_gradcheck_fails_where_the_tolerance_is_not_met(run) -> None:
     assert result.status == 1
 
 
+def test_gradcheck_says_that_it_checked_nothing(run) -> None:
+    Path("fog.x3d").write_text(SCENE.replace("</Scene>", "<Fog/></Scene>"))
+    result = run("gradcheck", "fog.x3d", "--width", 12, "--height", 12, "--fields", "Fog.visibilityRange")
+    assert result.status == 0
+    assert "switched off" in result.out and "nothing was checked" in result.out and "within" not in result.out
+
+
 # --- the process ------------------------------------------------------------------------------------------------------
 
 

@@ -57,11 +57,14 @@ class GradientCheck:
 
     @property
     def passed(self) -> bool:
-        """True if every error is below the tolerance (and a number)."""
+        """True if every error is below the tolerance (and a number); also where nothing was checked."""
         return all(max(row.forward_error, row.reverse_error) <= self.tolerance for row in self.rows)
 
     def __str__(self) -> str:
-        width = max([len("field"), *(len(row.path) for row in self.rows)])
+        width = max(map(len, ["field", *(row.path for row in self.rows), *self.skipped]))
+        off = [f"{path:<{width}}  not checked: it is switched off" for path in self.skipped]
+        if not self.rows:
+            return "\n".join([*off, "nothing was checked: no field has a derivative here"])
         lines = [f"{'field':<{width}}  {'largest':>10}  {'forward':>9}  {'reverse':>9}  {'kinks':>6}"]
         for row in self.rows:
             flag = "" if max(row.forward_error, row.reverse_error) <= self.tolerance else "  WRONG"
@@ -69,7 +72,7 @@ class GradientCheck:
                 f"{row.path:<{width}}  {row.largest:>10.3g}  {row.forward_error:>9.1e}  {row.reverse_error:>9.1e}  "
                 f"{row.kinks:>6}{flag}"
             )
-        lines += [f"{path:<{width}}  not checked: it is switched off" for path in self.skipped]
+        lines += off
         verdict = "all within" if self.passed else "NOT all within"
         lines.append(f"worst error {self.worst:.1e}, {verdict} {self.tolerance:g} ({self.dtype})")
         return "\n".join(lines)
@@ -96,14 +99,20 @@ def check_gradients(
         options: readings of the specification, as for `shade`.
         seed: of the texels and of the reverse mode's random weights.
 
+    Returns:
+        A row for each field that has a derivative; fields that are switched off are named, not checked.
+
     Raises:
         ValueError: no such field, or not a number in the scene; a scene or samples that `shade` would refuse.
     """
     check_samples(scene, samples)
-    chosen, skipped = _checkable(scene, fields)
-    dtype = jnp.result_type(*(field.leaf.get(scene) for field in chosen)) if chosen else jnp.result_type(float)
+    chosen, switched_off = _checkable(scene, fields)
+    skipped = tuple(field.path for field in switched_off)
+    dtype = jnp.result_type(float, *(field.leaf.get(scene) for field in [*chosen, *switched_off]))
     single = np.dtype(dtype) != np.float64
     limit = tolerance if tolerance is not None else (1e-3 if single else 1e-6)
+    if not chosen:
+        return GradientCheck((), skipped, limit, "float32" if single else "float64")
     random = np.random.default_rng(seed)
     world = World(scene, jnp.ones(0, dtype))
     parameters, described = free_parameters(world, [field.path for field in chosen], [], dtype, blocks=False)
@@ -141,7 +150,7 @@ def check_gradients(
     return GradientCheck(tuple(rows), skipped, limit, "float32" if single else "float64")
 
 
-def _checkable(scene: Scene, wanted: Path | Iterable[Path] | None) -> tuple[list[paths.Field], tuple[str, ...]]:
+def _checkable(scene: Scene, wanted: Path | Iterable[Path] | None) -> tuple[list[paths.Field], list[paths.Field]]:
     """Fields to check, and those whose present value switches them off."""
     every = paths.fields(scene)
     if wanted is not None:
@@ -152,7 +161,7 @@ def _checkable(scene: Scene, wanted: Path | Iterable[Path] | None) -> tuple[list
         value = field.value(scene)
         off = not np.all(np.isfinite(value)) or (field.leaf.range.open_below and np.any(value <= 0))
         (skipped if off else chosen).append(field)
-    return chosen, tuple(field.path for field in skipped)
+    return chosen, skipped
 
 
 def _worst(a: float, b: float) -> float:
