@@ -166,12 +166,9 @@ def _told(
         kept = "product" if rising and falling else "ratio"
     elif _alike(np.abs(changes)):
         kept = "sum" if rising and falling else "difference"
-    if kept == "ratio" or (kept == "product" and not (rising and falling)):
+    if kept == "ratio" or (kept == "combination" and not (rising and falling)):
         rising, falling = parts[:1], parts[1:]
-    if kept == "combination" and not (rising and falling):
-        rising, falling = parts[:1], parts[1:]
-    what = {"product": "product", "ratio": "ratio", "sum": "sum", "difference": "difference"}.get(kept)
-    kept_words = f"only their {what} is seen" if what else "only one combination of them is seen"
+    kept_words = "only one combination of them is seen" if kept == "combination" else f"only their {kept} is seen"
     if not falling:
         text = f"{_listed(rising)}: its components can be traded for each other, {kept_words}"
     else:
