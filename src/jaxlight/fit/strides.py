@@ -1,8 +1,8 @@
 """How far a field may move in one step: beyond it the linearised equation says nothing.
 
 A highlight's exponent and a light's distance act through ratios: a step that makes shininess a tenth, or throws a
-light behind the scene, lands where the picture no longer tells the way back. Within these strides nine steps replace
-twelve, and starts that ended in a wrong minimum find the right one.
+light behind the scene, lands where the picture no longer tells the way back. Such a step ends at its stride, and the
+next one takes its slope from there.
 """
 
 from __future__ import annotations
