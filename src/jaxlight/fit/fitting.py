@@ -156,6 +156,10 @@ def fit(
         resume: carry on from the checkpoint, to the same numbers as if there had been no interruption; begin if there
             is none yet. Random starts are not explored again.
 
+    Returns:
+        The fitted scene and numbers, how the fit ended, and what is not known. A fit that did not converge is no error:
+        its `outcome` says so, and its values are the best that were found.
+
     Raises:
         ValueError: a path, shape, bound or value that does not fit, found before anything is compiled; a checkpoint
             that belongs to another fit or is damaged.
