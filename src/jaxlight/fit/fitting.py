@@ -9,16 +9,16 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import numpy as np
-import optimistix as optx
 
 from ..lighting import LightingOptions
 from ..scene.scene import Scene
 from .checkpoint import Checkpoint, CheckpointWarning
 from .minimisers import check_minimiser, minimise
+from .outcomes import Outcome, message_of, outcome_of
 from .pictures import residual_image
 from .problem import Description, Problem, make_problem
 from .record import Record
@@ -30,8 +30,6 @@ from .steps import Step, describe_step
 from .steps import rms as step_rms
 from .uncertainty import Uncertainty, uncertainty
 from .views import View
-
-Outcome = Literal["converged", "max_steps", "stalled", "nonfinite", "interrupted"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -276,7 +274,7 @@ def make_fit(
     interrupted: bool = False,
 ) -> Fit:
     """The result for a state, finished or not."""
-    outcome = _outcome(state, interrupted)
+    outcome = outcome_of(state, interrupted)
     world = _world_at(problem, state.values)
     value = history[-1].loss if history else math.nan
     rms = step_rms(value, description.residuals)
@@ -288,7 +286,7 @@ def make_fit(
         loss=value,
         rms=rms,
         outcome=outcome,
-        message=_message(outcome, state, history, rms),
+        message=message_of(outcome, state, history, rms),
         history=tuple(history),
         problem=problem,
         description=description,
@@ -299,36 +297,3 @@ def make_fit(
 @eqx.filter_jit
 def _world_at(problem: Problem, values: Any) -> Any:
     return problem.at(values)
-
-
-def _outcome(state: FitState, interrupted: bool) -> Outcome:
-    if bool(state.solver.result == optx.RESULTS.nonfinite):
-        return "nonfinite"
-    if bool(state.solver.terminate):
-        return "converged"
-    if bool(state.solver.result == optx.RESULTS.nonlinear_divergence):
-        return "stalled"
-    return "interrupted" if interrupted else "max_steps"
-
-
-def _message(outcome: Outcome, state: FitState, history: Sequence[Step], rms: float) -> str:
-    trials = f"{state.accepted} steps ({state.tried} tried)"
-    coarse = sum(step.part < 1 for step in history)
-    if coarse > 1:
-        trials += f", the first {coarse - 1} with {100 * history[0].part:.3g} % of the samples"
-    if math.isnan(rms) and outcome == "interrupted":
-        return "Interrupted before the start values were evaluated; they are unchanged."
-    if outcome == "converged" and bool(state.solver.at_kink):
-        return (
-            f"Converged in {trials} to a kink of the equation (samples where a light sets), within a tenth of a "
-            f"standard error of the optimum; residual RMS {rms:.3g}."
-        )
-    return {
-        "converged": f"Converged in {trials}; residual RMS {rms:.3g}.",
-        "max_steps": f"Not converged: stopped after {trials}, the most that were allowed; residual RMS {rms:.3g}.",
-        "stalled": f"Not converged: after {trials} no step lowers the residual any more, although its slope says one "
-        f"should; residual RMS {rms:.3g}. The start may lie at a jump of the equation (a light's radius or cone).",
-        "nonfinite": "Failed: the loss or its derivative is not finite at the start values.",
-        "interrupted": f"Interrupted after {trials}, not converged; the best values so far are kept; "
-        f"residual RMS {rms:.3g}.",
-    }[outcome]

@@ -1,0 +1,49 @@
+"""How fits end, in a word and in a sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import optimistix as optx
+
+from .run import FitState
+from .steps import Step
+
+Outcome = Literal["converged", "max_steps", "stalled", "nonfinite", "interrupted"]
+
+
+def outcome_of(state: FitState, interrupted: bool) -> Outcome:
+    """How a fit ended that stands at this state."""
+    if bool(state.solver.result == optx.RESULTS.nonfinite):
+        return "nonfinite"
+    if bool(state.solver.terminate):
+        return "converged"
+    if bool(state.solver.result == optx.RESULTS.nonlinear_divergence):
+        return "stalled"
+    return "interrupted" if interrupted else "max_steps"
+
+
+def message_of(outcome: Outcome, state: FitState, history: Sequence[Step], rms: float) -> str:
+    """The same in a sentence, after these steps."""
+    trials = f"{state.accepted} steps ({state.tried} tried)"
+    coarse = sum(step.part < 1 for step in history)
+    if coarse > 1:
+        trials += f", the first {coarse - 1} with {100 * history[0].part:.3g} % of the samples"
+    if math.isnan(rms) and outcome == "interrupted":
+        return "Interrupted before the start values were evaluated; they are unchanged."
+    if outcome == "converged" and bool(state.solver.at_kink):
+        return (
+            f"Converged in {trials} to a kink of the equation (samples where a light sets), within a tenth of a "
+            f"standard error of the optimum; residual RMS {rms:.3g}."
+        )
+    return {
+        "converged": f"Converged in {trials}; residual RMS {rms:.3g}.",
+        "max_steps": f"Not converged: stopped after {trials}, the most that were allowed; residual RMS {rms:.3g}.",
+        "stalled": f"Not converged: after {trials} no step lowers the residual any more, although its slope says one "
+        f"should; residual RMS {rms:.3g}. The start may lie at a jump of the equation (a light's radius or cone).",
+        "nonfinite": "Failed: the loss or its derivative is not finite at the start values.",
+        "interrupted": f"Interrupted after {trials}, not converged; the best values so far are kept; "
+        f"residual RMS {rms:.3g}.",
+    }[outcome]
