@@ -24,6 +24,8 @@ class ReadNotes:
     """Nodes read as something simpler, by what was done."""
     unused: collections.Counter[str] = dataclasses.field(default_factory=collections.Counter)
     """Fields that change the picture elsewhere and that jaxlight does not have, by name."""
+    misspelt: list[str] = dataclasses.field(default_factory=list)
+    """Attributes left out, as `Material[a].difuseColor (line 7; diffuseColor is meant?)`."""
     clamped: list[str] = dataclasses.field(default_factory=list)
     """Values that were out of range, as `Material[a].diffuse_color (line 7)`."""
     remarks: list[str] = dataclasses.field(default_factory=list)
@@ -42,6 +44,9 @@ class ReadNotes:
             found.append(f"simplified: {_counted(self.simplified)}")
         if self.unused:
             found.append(f"fields not used: {_counted(self.unused)}")
+        if self.misspelt:
+            count = "1 attribute" if len(self.misspelt) == 1 else f"{len(self.misspelt)} attributes"
+            found.append(f"skipped {count} that jaxlight does not know: {_listed(self.misspelt)}")
         if self.clamped:
             count = "1 value" if len(self.clamped) == 1 else f"{len(self.clamped)} values"
             found.append(f"clamped {count} to the allowed range: {_listed(self.clamped)}")

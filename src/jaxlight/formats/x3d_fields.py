@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import functools
 import math
 import typing
@@ -104,6 +105,19 @@ def fields_of(kind: type[nodes.Node]) -> dict[str, X3DField]:
         is_angle = field.name in _ANGLES
         found[attribute] = X3DField(field.name, attribute, field_type, low, high, is_angle)
     return found
+
+
+@functools.lru_cache(maxsize=1024)
+def meant_attribute(kind: type[nodes.Node], unknown: str) -> str | None:
+    """The attribute of a class that an unknown one misspells, or None.
+
+    X3D has more fields than jaxlight reads; none of them is as close to one that it reads as this asks for.
+    """
+    names = {name.lower(): name for name in (*fields_of(kind), "DEF", "USE", "containerField")}
+    if unknown in names.values():
+        return None
+    close = difflib.get_close_matches(unknown.lower(), names, n=1, cutoff=0.8)
+    return names[close[0]] if close else None
 
 
 def _type(kind: type[nodes.Node], name: str, hint: Any, default: Any) -> FieldType | None:

@@ -16,7 +16,7 @@ from .folder import ResourceFolder
 from .limits import MAX_NESTING
 from .notes import ReadNotes
 from .x3d_checks import check_indices
-from .x3d_fields import X3DField, fields_of, python_name, version_defaults
+from .x3d_fields import X3DField, fields_of, meant_attribute, python_name, version_defaults
 from .x3d_groups import CHILD_HOLDERS, SIMPLIFIED, is_child_node, split_children
 from .x3d_source import X3DSource
 from .x3d_textures import TextureReader
@@ -35,6 +35,8 @@ _UNUSED_FIELDS = {
         "transparency",
     },
 }  # fmt: skip
+_LONGEST_NAME = 60
+"""Characters of an attribute's name; no field has as many."""
 _MAX_DETOURS = 32
 """How many skipped subtrees may lead into one another through USE."""
 
@@ -210,6 +212,8 @@ class _Reader:
             if field is None:
                 if attribute in _UNUSED_FIELDS.get(element.tag, ()):
                     self.notes.unused[f"{element.tag}.{attribute}"] += 1
+                elif meant := meant_attribute(kind, attribute[:_LONGEST_NAME]):
+                    self.notes.misspelt.append(f"{label}.{attribute} (line {element.line}; {meant} is meant?)")
                 continue
             try:
                 value = field.in_radians(field.type.parse(text), self.angle_unit)
