@@ -218,11 +218,16 @@ def test_a_fit_that_is_killed_twice_with_sigkill_resumes_to_the_same_bits(
 def test_resuming_removes_its_own_drafts_and_no_other_file(tmp_path: Path, stem: str) -> None:
     problem, _ = make_problem(start(), view(), FREE)
     checkpoint = Checkpoint(tmp_path / f"{stem}.npz", problem, make_solver(problem))
-    others = [f".{stem}.notes.npz", f".{stem}.b.abcdefgh.npz", f".{stem}.abcdefgh.txt", ".fit1.abcdefgh.npz"]
-    others += [".fit.previous.abcdefgh.npz", "notes.npz", f".{40 * 'a'}.abcdefgh.npz"]
+    others = [
+        f".{stem}.notes.npz",
+        f".{stem}.b.0123456789abcdef.npz",
+        f".{stem}.0123456789abcdef.txt",
+        ".fit1.0123456789abcdef.npz",
+    ]
+    others += [".fit.previous.0123456789abcdef.npz", "notes.npz", f".{40 * 'a'}.0123456789abcdef.npz"]
     for name in others:
         (tmp_path / name).write_text("another's")
-    (tmp_path / f".{stem}.abc_ef01.npz").write_text("a run was killed while it wrote")
+    (tmp_path / f".{stem}.0123456789abcdef.npz").write_text("a run was killed while it wrote")
     assert checkpoint.load() is None
     assert sorted(os.listdir(tmp_path)) == sorted(others)
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import builtins
+import errno
 import os
+import re
 import struct
 import zlib
 from pathlib import Path
@@ -181,9 +183,10 @@ def test_without_openimageio_the_extra_is_named(tmp_path: Path, monkeypatch: pyt
     for name in ("deep.png", "a.exr"):
         with pytest.raises(ImportError, match=r"needs OpenImageIO: pip install 'jaxlight\[exr\]'"):
             read_image(tmp_path / name)
-    with pytest.raises(ImportError, match=r"jaxlight\[exr\]"):
-        write_image(tmp_path / "b.exr", np.zeros((2, 2, 3)))
-    assert not (tmp_path / "b.exr").exists()
+    for name, bits, what in (("b.exr", 8, "EXR"), ("b.png", 16, "16-bit colour PNG")):
+        with pytest.raises(ImportError, match=f"^{re.escape(str(tmp_path / name))}: writing {what} needs OpenImageIO"):
+            write_image(tmp_path / name, np.zeros((2, 2, 3)), bits=bits)
+    assert sorted(os.listdir(tmp_path)) == ["a.exr", "deep.png"]
 
 
 def test_16_bit_color_is_not_multiplied_by_alpha(tmp_path: Path) -> None:
@@ -191,6 +194,27 @@ def test_16_bit_color_is_not_multiplied_by_alpha(tmp_path: Path) -> None:
     image = np.array([[[1.0, 0.5, 0.25, 0.5], [1, 1, 1, 0]]])
     write_image(tmp_path / "a.png", image, bits=16)
     assert np.allclose(read_image(tmp_path / "a.png"), image, atol=1e-5)
+
+
+def test_a_place_that_cannot_hold_the_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "folder.png").mkdir()
+    (tmp_path / "file").touch()
+    for name in ("none/a.png", "file/a.png"):
+        path = tmp_path / name
+        with pytest.raises(FileNotFoundError, match=f"^{re.escape(f'{path}: there is no folder {path.parent}')}$"):
+            write_image(path, np.zeros((2, 2)))
+    with pytest.raises(IsADirectoryError, match=r"folder\.png: expected a file, got a folder$"):
+        write_image(tmp_path / "folder.png", np.zeros((2, 2)))
+    assert sorted(os.listdir(tmp_path)) == ["file", "folder.png"]
+
+
+def test_what_the_system_refuses_is_said_of_the_file_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuses(*_: Any, **__: Any) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(tmp_path / ".a.x5z.png"))
+
+    monkeypatch.setattr(os, "open", refuses)
+    with pytest.raises(PermissionError, match=f"{re.escape(repr(str(tmp_path / 'a.png')))}$"):
+        write_image(tmp_path / "a.png", np.zeros((2, 2)))
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

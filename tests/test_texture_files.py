@@ -42,6 +42,12 @@ def test_unchanged_textures_are_copied_along(textured: Path, tmp_path: Path) -> 
     assert nodes_equal(load(out).document.children, scene.document.children)
 
 
+def test_unchanged_textures_make_no_folder_for_the_scene(textured: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="there is no folder"):
+        save(load(textured), tmp_path / "none" / "scene.x3d")
+    assert not (tmp_path / "none").exists()
+
+
 def test_a_copied_texture_never_replaces_another_file(textured: Path, tmp_path: Path) -> None:
     out = tmp_path / "elsewhere" / "fitted.x3d"
     (out.parent / "maps").mkdir(parents=True)

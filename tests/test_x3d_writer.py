@@ -196,6 +196,14 @@ def test_other_formats_are_refused(source: Path, name: str) -> None:
         save(quietly(source), source.parent / name)
 
 
+@pytest.mark.parametrize("texture", [None, n.ImageTexture(image=np.ones((1, 1, 3)))])
+def test_a_folder_that_is_not_there_is_named_and_not_made(tmp_path: Path, texture: n.Node | None) -> None:
+    scene = Scene.from_nodes([n.Shape(appearance=n.Appearance(texture=texture))])
+    with pytest.raises(FileNotFoundError, match=rf"scene\.x3d: there is no folder {re.escape(str(tmp_path))}/none$"):
+        save(scene, tmp_path / "none" / "scene.x3d")
+    assert os.listdir(tmp_path) == []
+
+
 def test_an_interrupted_write_leaves_the_old_file(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = source.read_bytes()
 

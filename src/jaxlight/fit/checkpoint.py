@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import re
 import warnings
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -22,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..formats.safe_write import written_whole
+from ..formats.safe_write import drafts_of, written_whole
 from ..scene.flags import Flags
 from .problem import Problem
 from .run import FitState, begin
@@ -90,7 +89,7 @@ class Checkpoint:
         Raises:
             ValueError: it belongs to another problem or another version, or all there is is damaged.
         """
-        for draft in self._drafts():
+        for draft in drafts_of(self.path):
             draft.unlink()  # a run was killed while it wrote
         there = [path for path in (self.path, self.previous) if path.exists()]
         damages = []
@@ -107,12 +106,6 @@ class Checkpoint:
         if damages:
             raise ValueError(f"{'; '.join(damages)}; remove what is damaged to begin anew")
         return None
-
-    def _drafts(self) -> list[Path]:
-        """What `written_whole` began for this file. It cuts names of over 40 characters: such drafts may be another
-        file's and are left."""
-        name = re.compile(re.escape(f".{self.path.stem}.") + r"[a-z0-9_]{8}\.npz")
-        return [path for path in self.path.parent.glob(".*.npz") if name.fullmatch(path.name)]
 
     def _read(self, path: Path) -> Saved:
         try:

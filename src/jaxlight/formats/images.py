@@ -95,6 +95,7 @@ def write_image(path: str | Path, image: Any, *, bits: int = 8) -> None:
     Raises:
         ValueError: a shape, a suffix or a number (NaN) that cannot be written.
         ImportError: it needs OpenImageIO, which is not installed.
+        OSError: the folder does not exist, or the system refuses.
     """
     path = Path(path)
     pixels = np.asarray(image, dtype=np.float64)
@@ -112,9 +113,9 @@ def write_image(path: str | Path, image: Any, *, bits: int = 8) -> None:
         raise ValueError(f"{path}: JPEG has no alpha; got {pixels.shape[2]} components")
     with written_whole(path) as draft:
         if suffix == ".exr":
-            _write_with_openimageio(draft, pixels.astype(np.float32), "float")
+            _write_with_openimageio(draft, pixels.astype(np.float32), "float", path)
         elif bits == 16:
-            _write_16_bit_png(draft, quantize(pixels, 16))
+            _write_16_bit_png(draft, quantize(pixels, 16), path)
         else:
             levels = quantize(pixels)
             squeezed = levels[:, :, 0] if levels.shape[2] == 1 else levels
@@ -122,11 +123,11 @@ def write_image(path: str | Path, image: Any, *, bits: int = 8) -> None:
             Image.fromarray(squeezed, _MODES[levels.shape[2]]).save(draft, **options)
 
 
-def _write_16_bit_png(path: Path, levels: np.ndarray) -> None:
+def _write_16_bit_png(draft: Path, levels: np.ndarray, path: Path) -> None:
     if levels.shape[2] == 1:
-        Image.fromarray(levels[:, :, 0]).save(path)
+        Image.fromarray(levels[:, :, 0]).save(draft)
     else:
-        _write_with_openimageio(path, levels, "uint16")
+        _write_with_openimageio(draft, levels, "uint16", path)
 
 
 def _openimageio(what: str) -> Any:
@@ -163,17 +164,18 @@ def _color_channels(names: list[str]) -> list[int]:
     return named if len(named) >= 3 else list(range(min(len(names), 4)))
 
 
-def _write_with_openimageio(path: Path, pixels: np.ndarray, kind: str) -> None:
+def _write_with_openimageio(draft: Path, pixels: np.ndarray, kind: str, path: Path) -> None:
+    """Write `draft`; messages name `path`, whose place it takes."""
     library = _openimageio(f"{path}: writing {'EXR' if kind == 'float' else '16-bit colour PNG'}")
     height, width, components = pixels.shape
-    file = library.ImageOutput.create(str(path))
+    file = library.ImageOutput.create(str(draft))
     if file is None:
         raise ValueError(f"{path}: {library.geterror().strip()}")
     spec = library.ImageSpec(width, height, components, kind)
     spec.attribute("oiio:UnassociatedAlpha", 1)
     if components == 2:
         spec.channelnames = ("Y", "A")
-    if not (file.open(str(path), spec) and file.write_image(pixels)):
+    if not (file.open(str(draft), spec) and file.write_image(pixels)):
         raise ValueError(f"{path}: {file.geterror().strip()}")
     file.close()
 

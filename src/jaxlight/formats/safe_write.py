@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,11 @@ def written_whole(path: Path) -> Iterator[Path]:
     """A temporary path beside `path`, of the same suffix, that takes its place when the block ends without an error.
 
     A reader sees the old file or the whole new one; also after a crash or a power cut.
+
+    Raises:
+        OSError: nothing can be written at `path`; names it, not the temporary one.
     """
+    check_place(path)
     mode = path.stat().st_mode & 0o777 if path.exists() else None
     draft = _new_file_beside(path, 0o666 if mode is None else mode)
     try:
@@ -37,7 +42,26 @@ def _new_file_beside(path: Path, mode: int) -> Path:
             os.close(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode))
         except FileExistsError:
             continue
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from None
         return draft
+
+
+def drafts_of(path: Path) -> list[Path]:
+    """What was begun for this file by a process that was killed.
+
+    Names are cut after 40 characters: such drafts may be another file's, and are none of these.
+    """
+    name = re.compile(re.escape(f".{path.stem}.") + r"[0-9a-f]{16}" + re.escape(path.suffix))
+    return [draft for draft in path.parent.glob(".*") if name.fullmatch(draft.name)]
+
+
+def check_place(path: Path) -> None:
+    """Raise OSError if `path` is a folder or lies in none."""
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: expected a file, got a folder")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{path}: there is no folder {path.parent}")
 
 
 def _flush_folder(folder: Path) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..scene import nodes
 from .changes import changed_nodes, updated_children
-from .safe_write import written_whole
+from .safe_write import check_place, written_whole
 from .texture_files import TexturePlan, named_files, texture_url
 from .x3d_editor import with_attributes
 from .x3d_fields import fields_of
@@ -35,10 +35,12 @@ def save(scene: Scene, path: str | Path) -> None:
     Raises:
         ValueError: another suffix; a value out of its field's range; one node used several times (USE) whose rows now
             differ; a change that no field of the file can hold.
+        OSError: the folder of `path` does not exist, or the system refuses.
     """
     path = Path(path)
     if path.suffix.lower() != ".x3d":
         raise ValueError(f"{path}: expected a name that ends in .x3d, the one format that is written")
+    check_place(path)
     changes = changed_nodes(scene)
     source = scene.document.source
     if isinstance(source, X3DSource):
