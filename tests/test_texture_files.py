@@ -91,6 +91,33 @@ def test_an_input_texture_is_never_overwritten(tmp_path: Path) -> None:
     assert np.array_equal(load(tmp_path / "scene.x3d").textures[0].image, np.zeros((1, 1, 3)))
 
 
+@pytest.mark.parametrize("replaced", [None, "not XML", x3d("<Shape/>"), x3d(TEXTURED)])
+def test_a_file_that_the_replaced_scene_does_not_name_is_never_overwritten(
+    tmp_path: Path, replaced: str | None
+) -> None:
+    (tmp_path / "scene_texture.png").write_text("mine")
+    image = np.zeros((1, 2, 3))
+    scene = Scene.from_nodes([n.Shape(appearance=n.Appearance(texture=n.ImageTexture(image=image)))])
+    if replaced is not None:
+        (tmp_path / "scene.x3d").write_text(replaced)
+    for _ in range(2):
+        save(scene, tmp_path / "scene.x3d")
+    assert sorted(os.listdir(tmp_path)) == ["scene.x3d", "scene_texture.png", "scene_texture_2.png"]
+    assert (tmp_path / "scene_texture.png").read_text() == "mine"
+
+
+def test_saving_again_replaces_the_textures_of_the_scene_that_it_replaces(textured: Path) -> None:
+    scene, out = load(textured), textured.parent / "fitted.x3d"
+    (textured.parent / "fitted_wood.png").write_text("mine")
+    for level in (0.0, 0.2, 0.4):
+        save(with_texels(scene, np.full((1, 1, 3), level)), out)
+        assert np.allclose(load(out).textures[0].image, level)
+    assert sorted(os.listdir(textured.parent)) == [
+        "fitted.x3d", "fitted_wood.png", "fitted_wood_2.png", "maps", "scene.x3d"
+    ]  # fmt: skip
+    assert (textured.parent / "fitted_wood.png").read_text() == "mine"
+
+
 def test_changed_pixel_textures_stay_in_the_file(tmp_path: Path) -> None:
     path = tmp_path / "scene.x3d"
     text = x3d("<Shape><Appearance><PixelTexture image='1 2 1 0 255'/></Appearance><Box/></Shape>")

@@ -1,11 +1,13 @@
 """Where the images of ImageTexture nodes go when a scene is written: beside it, under names that start with its own.
 
-A file that the scene was read from, or that one of its urls names, is never written to.
+A file that the scene was read from, or that one of its urls names, is never written to, and neither is any other file
+that was there, unless the scene file that is being replaced names it.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import urllib.parse
 from collections.abc import Iterable
 from pathlib import Path
@@ -19,6 +21,8 @@ from .images import read_image, write_image
 from .limits import read_bounded
 from .quantize import quantize
 from .safe_write import written_whole
+from .x3d_values import MFString
+from .xml_elements import parse_xml
 
 
 @dataclasses.dataclass
@@ -81,13 +85,31 @@ class TexturePlan:
             write_image(target, np.flipud(image))
 
     def _free_name(self, label: str, suffix: str) -> Path:
-        """A name that starts with the scene's own and that neither an input nor this plan has."""
+        """A name that starts with the scene's own and that no input, nothing in this plan and no stranger has."""
         stem = f"{self.path.stem}_{''.join(c if c.isalnum() or c in '-_' else '_' for c in label)[:40]}"
         number, target = 1, self.path.parent / f"{stem}{suffix}"
-        while target.resolve() in self.inputs or target in self._copies or target in self._images:
+        while target.resolve() in self.inputs or target in self._copies or target in self._images or self._lost(target):
             number += 1
             target = self.path.parent / f"{stem}_{number}{suffix}"
         return target
+
+    def _lost(self, target: Path) -> bool:
+        """True if writing `target` would destroy a file that is not the replaced scene's."""
+        return target.exists() and target.resolve() not in self._replaced
+
+    @functools.cached_property
+    def _replaced(self) -> set[Path]:
+        """The files that the textures of the scene file at `path` name; empty if there is none that can be read."""
+        try:
+            stack, textures = [parse_xml(self.path, read_bounded(self.path))], []
+            while stack:
+                element = stack.pop()
+                stack.extend(element.children)
+                if element.tag == "ImageTexture":
+                    textures.append(nodes.ImageTexture(url=MFString.parse(element.attributes.get("url", ""))))
+        except ValueError:  # as all errors of files
+            return set()
+        return named_files(self.path, textures)
 
 
 def _holds(scene_path: Path, url: str, image: np.ndarray) -> bool:
