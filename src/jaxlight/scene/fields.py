@@ -17,6 +17,10 @@ def _refuse(where: str, value: Any, allowed: str) -> ValueError:
     return ValueError(f"{where}: expected {allowed}, got {shown[:80]}")
 
 
+def _misshapen(where: str, array: np.ndarray, allowed: str) -> ValueError:
+    return ValueError(f"{where}: expected {allowed}, got an array of shape {list(array.shape)}")
+
+
 def _floats(where: str, value: Any, shape: tuple[int, ...], allowed: str) -> np.ndarray:
     try:
         array = np.asarray(value, dtype=np.float64)
@@ -34,8 +38,12 @@ def _rows(where: str, value: Any, columns: int, allowed: str) -> np.ndarray:
         raise _refuse(where, value, allowed) from None
     if array.size == 0:
         array = np.zeros((0, columns))
-    if array.ndim != 2 or array.shape[1] != columns or not np.all(np.isfinite(array)):
-        raise _refuse(where, f"an array of shape {array.shape}", allowed)
+    if array.ndim != 2 or array.shape[1] != columns:
+        raise _misshapen(where, array, allowed)
+    finite = np.all(np.isfinite(array), axis=1)
+    if not np.all(finite):
+        row = int(np.argmin(finite))
+        raise ValueError(f"{_refuse(where, array[row], allowed)} in row {row}")
     array = array.copy()
     array.setflags(write=False)
     return array
@@ -105,6 +113,13 @@ def string(where: str, value: Any) -> str:
     if not isinstance(value, str):
         raise _refuse(where, value, "a string")
     return value
+
+
+def strings(where: str, value: Any) -> tuple[str, ...]:
+    """Strings; a single one counts as a list of one."""
+    if not isinstance(value, (str, list, tuple)):
+        raise _refuse(where, value, "a string or a list of them")
+    return tuple(string(where, each) for each in ((value,) if isinstance(value, str) else value))
 
 
 def choice(*words: str) -> Callable[[str, Any], str]:
@@ -188,11 +203,15 @@ def vector3_rows(where: str, value: Any) -> np.ndarray:
 
 def index_list(where: str, value: Any) -> np.ndarray:
     """A flat list of indices >= -1 (-1 ends a face)."""
-    array = np.asarray(value)
+    allowed = "a flat list of integers >= -1"
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        raise _refuse(where, value, allowed) from None
     if array.size == 0:
         array = np.zeros(0, dtype=np.int64)
     if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer) or np.any(array < -1):
-        raise _refuse(where, array, "a flat list of integers >= -1")
+        raise _refuse(where, array, allowed)
     array = array.astype(np.int64)
     array.setflags(write=False)
     return array
@@ -203,9 +222,12 @@ def texture_image(where: str, value: Any) -> np.ndarray | None:
     if value is None:
         return None
     allowed = "an image of shape [height, width, 1 to 4] with values in [0, 1]"
-    array = np.array(value, dtype=np.float64)
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise _refuse(where, value, allowed) from None
     if array.ndim != 3 or array.shape[2] not in (1, 2, 3, 4) or array.size == 0:
-        raise _refuse(where, f"an array of shape {array.shape}", allowed)
+        raise _misshapen(where, array, allowed)
     if not np.all((array >= 0) & (array <= 1)):
         raise _refuse(where, array, allowed)
     array.setflags(write=False)

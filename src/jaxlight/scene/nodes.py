@@ -26,6 +26,7 @@ from .fields import (
     scale_vector,
     spot_angle,
     string,
+    strings,
     texture_image,
     unit_interval,
     vector2,
@@ -161,9 +162,7 @@ class ImageTexture(Node):
     image: np.ndarray | None = _field(None, texture_image)
     repeat_s: bool = _field(True, boolean)
     repeat_t: bool = _field(True, boolean)
-    url: tuple[str, ...] = _field(
-        (), lambda where, value: tuple(string(where, v) for v in ((value,) if isinstance(value, str) else value))
-    )
+    url: tuple[str, ...] = _field((), strings)
     name: str = _field("", string)
 
 

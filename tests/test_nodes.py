@@ -1,0 +1,41 @@
+"""Nodes made in Python: what a field does not take is refused; node, field, what came and what is allowed are named."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jaxlight import nodes
+
+IMAGE = r"expected an image of shape \[height, width, 1 to 4\] with values in \[0, 1\]"
+INDICES = "expected a flat list of integers >= -1"
+POINTS = r"expected finite numbers of shape \[n, 3\]"
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "message"),
+    [
+        (nodes.PixelTexture, {"image": "abc"}, rf"{IMAGE}, got 'abc'"),
+        (nodes.PixelTexture, {"image": [[[1], [1, 1]]]}, rf"{IMAGE}, got \[\[\[1\], \[1, 1\]\]\]"),
+        (nodes.PixelTexture, {"image": [[1]]}, rf"{IMAGE}, got an array of shape \[1, 1\]"),
+        (nodes.IndexedFaceSet, {"coord_index": [[0, 1, 2], [0, 1]]}, rf"{INDICES}, got \[\[0, 1, 2\]"),
+        (nodes.IndexedFaceSet, {"coord_index": "abc"}, f"{INDICES}, got 'abc'"),
+        (nodes.IndexedFaceSet, {"coord_index": [[0, 1, 2]]}, rf"{INDICES}, got \[\[0 1 2\]\]"),
+        (nodes.Coordinate, {"point": [[0, 0, 0], [0, np.nan, 0]]}, rf"{POINTS}, got \[ ?0. nan  ?0.\] in row 1"),
+        (nodes.Coordinate, {"point": [[0, 0]]}, rf"{POINTS}, got an array of shape \[1, 2\]"),
+        (nodes.Coordinate, {"point": [[0, 0, 0], [1]]}, rf"{POINTS}, got \[\[0, 0, 0\], \[1\]\]"),
+        (
+            nodes.Color,
+            {"color": [[0, 0, np.inf]]},
+            r"colours of shape \[n, 3\] in \[0, 1\], got \[ ?0.  0. inf\] in row 0",
+        ),
+        (nodes.ImageTexture, {"url": 3}, "expected a string or a list of them, got 3"),
+        (nodes.ImageTexture, {"url": ["a.png", 3]}, "expected a string, got 3"),
+    ],
+)
+def test_errors_say_what_is_wrong(kind: Any, values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        kind(name="a", **values)
+    assert str(caught.value).startswith(f"{kind.__name__}[a].{next(iter(values))}: ")
