@@ -55,6 +55,10 @@ def test_intrinsics_follow_opencv() -> None:
     np.testing.assert_allclose(project(halves, (0, 0, 5), 640, 480), (320, 240), atol=1e-12)
 
 
+def test_a_translation_may_be_a_column() -> None:
+    assert Camera.from_intrinsics(np.eye(3), t=np.ones((3, 1))).position.tolist() == [-1, -1, -1]
+
+
 def test_look_at_and_view_all_put_things_in_the_picture() -> None:
     camera = Camera.look_at((3, 4, 5), (1, 1, 1), up=(0, 1, 0), field_of_view=0.7)
     np.testing.assert_allclose(project(camera, (1, 1, 1), 100, 80), (50, 40), atol=1e-10)
@@ -117,6 +121,17 @@ def test_sample_patterns_fill_every_row_and_column(samples: int) -> None:
         (lambda: Camera.from_intrinsics(np.diag([-1.0, 1, 1])), "with fx, fy > 0"),
         (lambda: Camera.from_intrinsics(np.eye(3), R=np.ones((3, 3))), "R: expected a rotation matrix"),
         (lambda: Camera.from_intrinsics(np.eye(3), t=[1, 2]), "t: expected"),
+        (
+            lambda: Camera.from_intrinsics(np.eye(3), t=[[1, 2], [3]]),
+            r"t: expected \[3\] numbers, got \[\[1, 2\], \[3\]\]",
+        ),
+        (
+            lambda: Camera.from_intrinsics(np.eye(3), pixel_center="a"),
+            "pixel_center: expected a finite number, got 'a'",
+        ),  # type: ignore[arg-type]
+        (lambda: Camera.from_viewpoint(3), "from_viewpoint: expected a Viewpoint, got int"),  # type: ignore[arg-type]
+        (lambda: Camera.default([nodes.Shape()]), "Camera.default: expected a Scene, got list"),  # type: ignore[arg-type]
+        (lambda: Camera.view_all("a.x3d"), "Camera.view_all: expected a Scene, got str"),  # type: ignore[arg-type]
         (lambda: Camera.view_all(Scene.from_nodes([nodes.Group()])), "no shape with geometry"),
         *(
             (

@@ -7,11 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxlight import nodes
+from jaxlight import Scene, nodes
 
 IMAGE = r"expected an image of shape \[height, width, 1 to 4\] with values in \[0, 1\]"
 INDICES = "expected a flat list of integers >= -1"
 POINTS = r"expected finite numbers of shape \[n, 3\]"
+
+
+@pytest.mark.parametrize(("children", "came"), [(None, "NoneType"), (3, "int")])
+def test_a_scene_is_made_of_nodes(children: Any, came: str) -> None:
+    with pytest.raises(ValueError, match=f"Scene.from_nodes: expected a node or a list of nodes, got {came}"):
+        Scene.from_nodes(children)
 
 
 @pytest.mark.parametrize(

@@ -204,6 +204,11 @@ def test_a_folder_that_is_not_there_is_named_and_not_made(tmp_path: Path, textur
     assert os.listdir(tmp_path) == []
 
 
+def test_something_else_than_a_scene_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"save: scene: expected a Scene, got .*Path"):
+        save(tmp_path / "scene.x3d", Scene.from_nodes([n.Group()]))  # type: ignore[arg-type]
+
+
 def test_an_interrupted_write_leaves_the_old_file(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = source.read_bytes()
 

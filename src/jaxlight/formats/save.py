@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from ..scene import nodes
+from ..scene import Scene, nodes
 from .changes import changed_nodes, updated_children
 from .safe_write import check_place, written_whole
 from .texture_files import TexturePlan, named_files, texture_url
@@ -15,9 +14,6 @@ from .x3d_fields import fields_of
 from .x3d_source import X3DSource
 from .x3d_writer import child_nodes, write_x3d
 from .xml_elements import parse_xml
-
-if TYPE_CHECKING:
-    from ..scene import Scene
 
 
 def save(scene: Scene, path: str | Path) -> None:
@@ -37,6 +33,8 @@ def save(scene: Scene, path: str | Path) -> None:
             differ; a change that no field of the file can hold.
         OSError: the folder of `path` does not exist, or the system refuses.
     """
+    if not isinstance(scene, Scene):
+        raise ValueError(f"save: scene: expected a Scene, got {type(scene).__name__}")
     path = Path(path)
     if path.suffix.lower() != ".x3d":
         raise ValueError(f"{path}: expected a name that ends in .x3d, the one format that is written")

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..scene import Scene, nodes
 from ..scene.document import PlacedViewpoint
+from ..scene.fields import number
 from ..scene.transforms import IDENTITY, apply_to_points, rotation_matrix
 from .tessellate import MIN_SEGMENTS, tessellate
 
@@ -65,6 +66,8 @@ class Camera:
 
         Of those transforms the camera takes place and attitude; scaling does not distort its picture.
         """
+        if not isinstance(viewpoint, (nodes.Viewpoint, PlacedViewpoint)):
+            raise ValueError(f"Camera.from_viewpoint: expected a Viewpoint, got {type(viewpoint).__name__}")
         placed = isinstance(viewpoint, PlacedViewpoint)
         node = viewpoint.node if placed else viewpoint
         to_world = viewpoint.to_world if placed else IDENTITY
@@ -121,9 +124,9 @@ class Camera:
         if intrinsics is None:
             intrinsics = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
         matrix = _finite("Camera.from_intrinsics: K", intrinsics, (3, 3)).copy()
-        matrix[:2, 2] += 0.5 - pixel_center
+        matrix[:2, 2] += 0.5 - number("Camera.from_intrinsics: pixel_center", pixel_center)
         turn = np.eye(3) if R is None else _finite("Camera.from_intrinsics: R", R, (3, 3))
-        shift = np.zeros(3) if t is None else _finite("Camera.from_intrinsics: t", np.ravel(np.asarray(t)), (3,))
+        shift = np.zeros(3) if t is None else _finite("Camera.from_intrinsics: t", t, (3,), flat=True)
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-4) or np.linalg.det(turn) < 0:
             raise ValueError(f"Camera.from_intrinsics: R: expected a rotation matrix, got {turn.tolist()}")
         u, _, v = np.linalg.svd(turn)
@@ -142,6 +145,7 @@ class Camera:
         Raises:
             ValueError: the scene has no shape with geometry, a direction of length 0, or an angle out of range.
         """
+        _check_scene("Camera.view_all", scene)
         _check_angle("Camera.view_all: field_of_view", field_of_view)
         sphere = bounding_sphere(scene)
         if sphere is None:
@@ -163,6 +167,7 @@ class Camera:
         least a tenth of it (or there are none), otherwise `view_all`. Browsers do either; meshes have sizes of their
         own.
         """
+        _check_scene("Camera.default", scene)
         if scene.document.viewpoints:
             return cls.from_viewpoint(scene.document.viewpoints[0])
         default = cls.from_viewpoint(DEFAULT_VIEWPOINT)
@@ -247,6 +252,11 @@ def bounding_sphere(scene: Scene) -> tuple[np.ndarray, float] | None:
     return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
 
 
+def _check_scene(where: str, scene: Any) -> None:
+    if not isinstance(scene, Scene):
+        raise ValueError(f"{where}: expected a Scene, got {type(scene).__name__}")
+
+
 def _upright(toward: np.ndarray, up: np.ndarray) -> np.ndarray:
     """Camera axes to world: looking along `toward`, `up` upwards."""
     back = -toward / np.linalg.norm(toward)
@@ -263,9 +273,11 @@ def _check_angle(what: str, radians: float) -> None:
         raise ValueError(f"{what}: expected radians in (0, pi), got {radians!r}")
 
 
-def _finite(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+def _finite(what: str, value: Any, shape: tuple[int, ...], *, flat: bool = False) -> np.ndarray:
+    """The numbers as an array; `flat`: whatever rows and columns they come in."""
     try:
         array = np.array(value, dtype=np.float64)
+        array = array.ravel() if flat else array
     except (TypeError, ValueError):
         raise ValueError(f"{what}: expected {list(shape)} numbers, got {value!r:.60}") from None
     if array.shape != shape or not np.all(np.isfinite(array)):

@@ -20,6 +20,7 @@ def sample_pattern(samples: int) -> np.ndarray:
     """
     if isinstance(samples, bool) or not isinstance(samples, (int, np.integer)) or not 1 <= samples <= MAX_SAMPLES:
         raise ValueError(f"samples: expected a whole number of samples a pixel in [1, {MAX_SAMPLES}], got {samples!r}")
+    samples = int(samples)
     steps = np.arange(samples)
     best = max((g for g in range(1, samples + 1) if math.gcd(g, samples) == 1), key=lambda g: _spread(steps, g))
     return np.stack([steps, steps * best % samples], axis=1) / samples + 0.5 / samples

@@ -51,7 +51,9 @@ def rasterize(
     Warns:
         UserWarning: nothing is seen, or the scene has no geometry; the buffer then has no samples.
     """
-    _check_size(width, height, samples)
+    if not isinstance(scene, Scene):
+        raise ValueError(f"rasterize: scene: expected a Scene, got {type(scene).__name__}")
+    width, height = _size(width, height, samples)
     offsets = sample_pattern(samples)
     camera = _camera(scene, camera)
     placed = PlacedTriangles.of(scene, camera, width, height)
@@ -113,11 +115,14 @@ def _camera(scene: Scene, camera: Camera | nodes.Viewpoint | None) -> Camera:
             raise ValueError(f"rasterize: camera: expected a Camera, a Viewpoint or None, got {camera!r:.60}")
 
 
-def _check_size(width: int, height: int, samples: int) -> None:
+def _size(width: int, height: int, samples: int) -> tuple[int, int]:
+    """Width and height as Python's integers, which neither overflow nor pass for arrays."""
     for what, value in (("width", width), ("height", height)):
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= MAX_SIDE:
             raise ValueError(f"rasterize: {what}: expected a whole number of pixels in [1, {MAX_SIDE}], got {value!r}")
-    if width * height * (samples if isinstance(samples, (int, np.integer)) else 1) > MAX_PICTURE_SAMPLES:
+    width, height = int(width), int(height)
+    if width * height * (int(samples) if isinstance(samples, (int, np.integer)) else 1) > MAX_PICTURE_SAMPLES:
         raise ValueError(
             f"rasterize: {width} x {height} pixels with {samples} samples each exceed {MAX_PICTURE_SAMPLES} samples"
         )
+    return width, height

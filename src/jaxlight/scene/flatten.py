@@ -81,6 +81,8 @@ class _Walk:
 
 def scene_from_nodes(children: nodes.Node | Sequence[nodes.Node], *, dtype: Any = None) -> Scene:
     """See `Scene.from_nodes`."""
+    if not isinstance(children, (nodes.Node, Iterable)):
+        raise ValueError(f"Scene.from_nodes: expected a node or a list of nodes, got {type(children).__name__}")
     roots = (children,) if isinstance(children, nodes.Node) else tuple(children)
     walk = _Walk()
     walk.enter(roots, IDENTITY, ())
