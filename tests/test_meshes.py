@@ -348,6 +348,8 @@ def test_damaged_gltf_headers_are_errors(tmp_path: Path, glb: bytes, change: obj
         ("a.ply", b"ply\nformat ascii 1.0\nend_header\n", "holds no triangles|not a ply file"),
         ("a.glb", b"glTF\x02\x00\x00\x00", "truncated"),
         ("a.ply", b"v 0 0 0", "the content is not .ply"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "an index is out of range: index 8 is out of bounds"),
+        ("a.obj", b"v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", r"Coordinate.point: .* got \[ ?1.  0. nan\] in row 1"),
     ],
 )
 def test_files_that_are_no_meshes(tmp_path: Path, name: str, content: bytes, message: str) -> None:

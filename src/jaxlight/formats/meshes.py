@@ -278,4 +278,5 @@ def _heard(notes: ReadNotes) -> Iterator[None]:
 
 def _sentence(error: Exception) -> str:
     text = str(error).strip().partition("\n")[0]
+    text = f"an index is out of range: {text}" if isinstance(error, IndexError) else text
     return text[:200] if text else type(error).__name__
