@@ -29,7 +29,9 @@ import numpy as np
 import jaxlight as jl
 from jaxlight.scene import paths
 
-DATA = Path("..") / "fitting" / "data" / "spot"
+# A notebook has no file of its own, but the folder that it runs in.
+here = Path(globals().get("__file__", "")).resolve()
+DATA = next(root for root in (here, *here.parents) if (root / "fitting").is_dir()) / "fitting" / "data" / "spot"
 truth = jl.load(DATA / "spot.x3d")
 target = jl.read_image(DATA / "spot_256.png")
 height, width, _ = target.shape

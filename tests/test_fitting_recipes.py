@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,8 @@ from PIL import Image
 
 import jaxlight
 
-FITTING = Path(__file__).parents[1] / "fitting"
+ROOT = Path(__file__).parents[1]
+FITTING = ROOT / "fitting"
 SPOT = FITTING / "data" / "spot"
 CAT = FITTING / "data" / "psbox_cat"
 
@@ -155,6 +157,23 @@ def test_recipe_02_predicts_a_held_out_photograph_better_than_lambert(tmp_path: 
     assert fitted.textures[0].image.shape == (550, 430, 1)
     assert (tmp_path / "prediction.png").stat().st_size > 10_000
     assert "jaxlight" in (tmp_path / "report.txt").read_text()
+
+
+# --- the first recipe as a notebook -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("folder", "is_script"),
+    [(".", True), ("notebooks", True), ("src/jaxlight", True), (".", False), ("notebooks", False)],
+)
+def test_the_notebook_finds_its_data(monkeypatch: pytest.MonkeyPatch, folder: str, is_script: bool) -> None:
+    pytest.importorskip("matplotlib")
+    notebook = ROOT / "notebooks" / "02_material_from_one_picture.py"
+    first_cell = notebook.read_text().split("\n# %%\n")[1].partition("\n# %% ")[0]
+    names: dict[str, Any] = {"__file__": str(notebook)} if is_script else {}
+    monkeypatch.chdir(ROOT / folder)
+    exec(first_cell, names)
+    assert names["target"].shape == (256, 256, 3)
 
 
 # --- measured materials -----------------------------------------------------------------------------------------------
