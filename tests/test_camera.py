@@ -114,6 +114,7 @@ def test_sample_patterns_fill_every_row_and_column(samples: int) -> None:
         (lambda: Camera.look_at((0, 0, math.nan), (0, 2, 0)), r"look_at: eye: expected \[3\] finite numbers"),
         (lambda: Camera.look_at((0, 0, 1), (0, 0, 0), field_of_view=math.pi), r"radians in \(0, pi\)"),
         (lambda: Camera(np.zeros(3), np.diag([1, 1, -1.0]), 1.0), "expected a rotation matrix"),
+        (lambda: Camera.look_at((0, 0, 1), (0, 0, 0), field_of_view="wide"), "radians in .*, got 'wide'"),  # type: ignore[arg-type]
         (lambda: Camera(np.zeros(3), np.eye(3)), "either field_of_view or intrinsics"),
         (lambda: Camera.from_intrinsics(), "a matrix K, or all of fx, fy, cx, cy"),
         (lambda: Camera.from_intrinsics(fx=1, fy=1, cx=2), "a matrix K, or all of fx, fy, cx, cy"),

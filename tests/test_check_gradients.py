@@ -114,6 +114,18 @@ def test_a_derivative_that_is_wrong_by_a_hundredth_is_flagged(
     assert color.reverse_error < 1e-3 and (color.forward_error < 1e-3 or np.isnan(factor))
 
 
+def test_a_buffer_without_samples_is_refused() -> None:
+    empty = SampleBuffer.create(np.zeros((0, 3)), np.zeros((0, 3)), (0, 0, 4))
+    with pytest.raises(ValueError, match="samples: there is nothing to check: the buffer holds no sample"):
+        check_gradients(sphere_scene(), empty, "Material[body].shininess")
+
+
+@pytest.mark.parametrize("tolerance", [-1.0, 0.0, np.nan, np.inf])
+def test_a_tolerance_that_none_or_all_would_pass_is_refused(tolerance: float) -> None:
+    with pytest.raises(ValueError, match=f"tolerance: expected a finite number > 0, got {tolerance}"):
+        check_gradients(sphere_scene(), sphere_samples(8), "Material[body].shininess", tolerance=tolerance)
+
+
 def test_an_unknown_field_is_refused() -> None:
     with pytest.raises(ValueError, match="the closest: Material"):
         check_gradients(sphere_scene(), sphere_samples(8), "Material[body].shine")

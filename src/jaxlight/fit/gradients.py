@@ -15,6 +15,7 @@ from ..lighting import LightingOptions, shade_planes
 from ..lighting.shade import check_samples
 from ..raster.samples import SampleBuffer
 from ..scene import paths
+from ..scene.fields import positive
 from ..scene.paths import Path
 from ..scene.scene import Scene
 from .free import free_parameters
@@ -103,9 +104,14 @@ def check_gradients(
         A row for each field that has a derivative; fields that are switched off are named, not checked.
 
     Raises:
-        ValueError: no such field, or not a number in the scene; a scene or samples that `shade` would refuse.
+        ValueError: no such field, or not a number in the scene; a scene or samples that `shade` would refuse; no
+            sample; a tolerance that is not above 0.
     """
     check_samples(scene, samples)
+    if samples.count == 0:
+        raise ValueError("samples: there is nothing to check: the buffer holds no sample")
+    if tolerance is not None:
+        positive("tolerance", tolerance)
     chosen, switched_off = _checkable(scene, fields)
     skipped = tuple(field.path for field in switched_off)
     dtype = jnp.result_type(float, *(field.leaf.get(scene) for field in [*chosen, *switched_off]))

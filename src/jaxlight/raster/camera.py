@@ -269,7 +269,7 @@ def _upright(toward: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 
 def _check_angle(what: str, radians: float) -> None:
-    if not 0 < radians < math.pi:
+    if not isinstance(radians, int | float | np.number) or not 0 < radians < math.pi:
         raise ValueError(f"{what}: expected radians in (0, pi), got {radians!r}")
 
 
