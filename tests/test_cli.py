@@ -315,6 +315,18 @@ def test_a_fit_that_does_not_converge_says_so_with_status_1(run, target: Path) -
     assert "Not converged" in Path("fitted/report.html").read_text()
 
 
+def test_a_fit_that_is_not_over_is_replaced_only_if_told_to(run, target: Path) -> None:
+    words = ["fit", "scene.x3d", target, "--output", "fitted", *FREE, *START, "--quiet"]
+    assert run(*words, "--max-steps", 1).status == 1
+    before = {path.name: path.read_bytes() for path in Path("fitted").iterdir()}
+    refused = run(*words)
+    assert refused.status == 2 and refused.err.startswith("jaxlight: error: fitted/checkpoint.npz: belongs to a fit")
+    assert "--resume" in refused.err and "--overwrite" in refused.err and refused.err.count("\n") == 1
+    assert {path.name: path.read_bytes() for path in Path("fitted").iterdir()} == before
+    assert run(*words, "--overwrite").status == 0
+    assert run(*words).status == 0  # over, and so repeated
+
+
 def test_masked_pixels_are_not_fitted(run, target: Path) -> None:
     pixels = np.array(Image.open(target))
     pixels[:24] = 255 - pixels[:24]  # nonsense

@@ -210,6 +210,7 @@ def test_a_link_out_of_the_folder_is_refused(folder: Path, tmp_path_factory: pyt
 WORDS = {
     "an option that belongs into the file": (["--max-steps", "3"], "--max-steps: belongs into"),
     "a reading beside the file": (["--specular-gate"], "--specular-gate: belongs into"),
+    "what goes with the file": (["--overwrite", "--output", "problem.toml"], "expected a folder, got a file"),
     "a picture beside the file": (["x.png"], "PICTURE: belongs into"),
     "no output": ([], "output: expected a folder for the results"),
     "the problem as an output": (["--output", "."], "is an input of this command"),

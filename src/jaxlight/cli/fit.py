@@ -54,13 +54,15 @@ class Fit:
     """Samples a pixel; pixels at the rim of a shape are then compared as they are covered."""
     resume: bool = False
     """Carry on from the checkpoint in --output, to the same numbers as if the fit had never stopped."""
+    overwrite: bool = False
+    """Begin anew where --output holds the checkpoint of a fit that is not over."""
     quiet: bool = False
     """No line for each step on stderr."""
     settings: Annotated[FitSettings, tyro.conf.arg(name="")] = dataclasses.field(default_factory=FitSettings)
 
     def run(self) -> int:
         """Fit, write the results, and say how it went."""
-        return FitJob(*self._asked(), resume=self.resume, quiet=self.quiet).run()
+        return FitJob(*self._asked(), resume=self.resume, overwrite=self.overwrite, quiet=self.quiet).run()
 
     def _asked(self) -> tuple[FitProblem, Source]:
         """The problem, from its file or from the options."""
@@ -68,9 +70,10 @@ class Fit:
             return self._from_options(), CommandLine()
         from .problem_file import ProblemFile
 
-        own = Fit(scene=self.scene, output=self.output, resume=self.resume, quiet=self.quiet)._words()
+        beside = ("scene", "output", "resume", "overwrite", "quiet")
+        default = Fit(scene=self.scene)._words()
         for name, value in self._words().items():
-            if value != own[name]:
+            if name not in beside and value != default[name]:
                 option = "PICTURE" if name == "targets" else f"--{name.replace('_', '-')}"
                 raise ValueError(f"{option}: belongs into {self.scene}, which says all about the fit")
         file = ProblemFile(self.scene)

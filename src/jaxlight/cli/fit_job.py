@@ -47,6 +47,7 @@ class FitJob:
     problem: FitProblem
     source: Source
     resume: bool
+    overwrite: bool
     quiet: bool
 
     def run(self) -> int:
@@ -89,6 +90,7 @@ class FitJob:
                 checkpoint=None if method is not None else checkpoint,
                 checkpoint_seconds=problem.checkpoint_seconds,
                 resume=self.resume,
+                overwrite=self.overwrite,
             )
         self._write(result, views, results, warned)
         print(_summary(result))

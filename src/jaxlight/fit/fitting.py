@@ -17,6 +17,7 @@ import numpy as np
 from ..lighting import LightingOptions
 from ..scene.scene import Scene
 from .checkpoint import Checkpoint, CheckpointWarning
+from .earlier import spare_unfinished
 from .minimisers import check_minimiser, minimise
 from .outcomes import Outcome, message_of, outcome_of
 from .pictures import residual_image
@@ -126,6 +127,7 @@ def fit(
     checkpoint: str | Path | None = None,
     checkpoint_seconds: float = 1.0,
     resume: bool = False,
+    overwrite: bool = False,
 ) -> Fit:
     """Fit the free fields of a scene to one or many views by bounded Levenberg-Marquardt.
 
@@ -153,6 +155,8 @@ def fit(
         checkpoint_seconds: least time from one checkpoint to the next; 0: one after every step.
         resume: carry on from the checkpoint, to the same numbers as if there had been no interruption; begin if there
             is none yet. Random starts are not explored again.
+        overwrite: begin anew even if the checkpoint is that of a fit that is not over, which is lost then. One that is
+            over is replaced in any case.
 
     Returns:
         The fitted scene and numbers, how the fit ended, and what is not known. A fit that did not converge is no error:
@@ -160,7 +164,7 @@ def fit(
 
     Raises:
         ValueError: a path, shape, bound or value that does not fit, found before anything is compiled; a checkpoint
-            that belongs to another fit or is damaged.
+            that belongs to another fit or is damaged, or that only `resume` or `overwrite` may replace.
     """
     if starts < 1:
         raise ValueError(f"starts: expected at least 1, got {starts}")
@@ -168,6 +172,8 @@ def fit(
         raise ValueError(f"max_steps: expected at least 1, got {max_steps}")
     if resume and checkpoint is None:
         raise ValueError("resume: expected a checkpoint to resume from")
+    if resume and overwrite:
+        raise ValueError("overwrite: expected resume or overwrite, not both")
     if method is not None:
         check_minimiser(method)
         if checkpoint is not None:
@@ -182,6 +188,8 @@ def fit(
     if checkpoint is not None:
         run = (starts, seed, description.labels, description.view_names)
         kept = Checkpoint(checkpoint, problem, solver, run)
+        if not (resume or overwrite):
+            spare_unfinished(kept.path, kept.previous)
         saved = kept.load() if resume else None
         if saved is not None:
             state, history = saved

@@ -1,0 +1,46 @@
+"""What lies where a fit is to keep its checkpoints: nothing, a fit that is over, or work that must not be lost."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+_LARGEST = 4096
+"""Bytes of a number in an archive, its heading included."""
+
+
+def spare_unfinished(*checkpoints: Path) -> None:
+    """Raise ValueError if the newest of these files, those that exist, is anything but the checkpoint of a fit that is
+    over: that can be repeated, all else would be lost.
+
+    Args:
+        checkpoints: the newest first.
+    """
+    path = next((path for path in checkpoints if path.exists()), None)
+    if path is None:
+        return
+    try:
+        over = _is_over(path)
+    except Exception:  # archive and array readers stumble over other files in whatever way
+        said = "is no checkpoint that can be read; overwrite=True (--overwrite) replaces it"
+        raise ValueError(f"{path}: {said}") from None
+    if not over:
+        said = "resume=True (--resume) carries it on, overwrite=True (--overwrite) begins anew"
+        raise ValueError(f"{path}: belongs to a fit that is not over: {said}")
+
+
+def _is_over(path: Path) -> bool:
+    """Whether the `FitState` in a checkpoint, of whatever problem, has nothing left to do."""
+    with zipfile.ZipFile(path) as file:
+        every, over = (_number(file, name) for name in (".every", ".over"))
+    return every == 1 and bool(over)
+
+
+def _number(file: zipfile.ZipFile, name: str) -> int:
+    member = file.getinfo(f"{name}.npy")
+    if member.file_size > _LARGEST:
+        raise ValueError(f"{name}: expected one number")
+    return np.load(io.BytesIO(file.read(member)), allow_pickle=False).item()

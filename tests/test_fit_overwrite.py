@@ -1,0 +1,50 @@
+"""A fit begins anew only where nothing is lost: beside the checkpoints of one that is not over it must be told to."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from test_fit_checkpoint import run
+
+NOT_OVER = "belongs to a fit that is not over: resume=True (--resume) carries it on, overwrite=True (--overwrite)"
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_a_fit_that_is_not_over_is_not_replaced(tmp_path: Path) -> None:
+    run(tmp_path, max_steps=2)
+    before = contents(tmp_path)
+    assert sorted(before) == ["fit.npz", "fit.previous.npz", "log.jsonl"]
+    with pytest.raises(ValueError, match=re.escape(f"{tmp_path / 'fit.npz'}: {NOT_OVER}")):
+        run(tmp_path)
+    with pytest.raises(ValueError, match="overwrite: expected resume or overwrite, not both"):
+        run(tmp_path, resume=True, overwrite=True)
+    assert contents(tmp_path) == before
+    assert run(tmp_path, overwrite=True, max_steps=3).history[0].step == 0
+
+
+def test_the_one_before_counts_where_the_newest_is_missing(tmp_path: Path) -> None:
+    run(tmp_path, max_steps=2)
+    os.unlink(tmp_path / "fit.npz")  # as after a kill between two renames
+    with pytest.raises(ValueError, match=re.escape(f"{tmp_path / 'fit.previous.npz'}: {NOT_OVER}")):
+        run(tmp_path)
+
+
+def test_a_fit_that_is_over_can_be_repeated(tmp_path: Path) -> None:
+    first, again = (run(tmp_path) for _ in range(2))
+    assert first.converged and first.values.tobytes() == again.values.tobytes()
+
+
+@pytest.mark.parametrize("name", ["fit.npz", "fit.previous.npz"])
+def test_a_file_that_is_no_checkpoint_is_not_replaced(tmp_path: Path, name: str) -> None:
+    np.savez(tmp_path / name, pixels=np.zeros(3))
+    with pytest.raises(ValueError, match=re.escape(f"{name}: is no checkpoint that can be read; overwrite=True")):
+        run(tmp_path)
+    assert list(contents(tmp_path)) == [name]
