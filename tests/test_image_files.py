@@ -155,6 +155,13 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
         ("a.png", np.zeros(3), {}, r"got shape \[3\]"),
         ("a.png", np.zeros((0, 2)), {}, r"got shape \[0, 2, 1\]"),
         ("a.png", np.full((2, 2), np.nan), {}, "NaN in 4 pixels"),
+        (
+            "a.png",
+            np.full((2, 2), 128, np.uint8),
+            {},
+            r"a\.png: got uint8; divide by 255 \(dequantize\) or use read_image",
+        ),
+        ("a.png", np.full((2, 2), 128, np.uint16), {}, r"a\.png: got uint16; divide by 65535"),
         ("a.bmp", np.zeros((2, 2)), {}, "ends in .png"),
         ("a.png", np.zeros((2, 2)), {"bits": 12}, "got bits=12"),
         ("a.jpg", np.zeros((2, 2)), {"bits": 16}, "got bits=16"),

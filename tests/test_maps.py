@@ -171,6 +171,12 @@ HOLE[1, 2] = np.nan
         (NORMAL, {"position": np.ones((3, 4, 2))}, r"position: expected shape \[3, 4, 3\]"),
         (NORMAL, {"depth": 1.0, "mask": np.ones((3, 3))}, r"mask: expected shape \[3, 4\]"),
         (HOLE, {"depth": 1.0, "mask": np.ones((3, 4))}, "1 pixels inside the mask .* the first at row 1, column 2"),
+        (
+            NORMAL.astype(np.uint8),
+            {"depth": 1.0},
+            "normal: got uint8; divide by 255; with normal_encoding='color', or give",
+        ),
+        (NORMAL, {"depth": 1.0, "color": np.ones((3, 4, 3), np.uint16)}, "color: got uint16; divide by 65535, or give"),
         (NORMAL, {"depth": 0.0}, "no pixel shows a surface"),
         (NORMAL, {"depth": 1.0, "normal_frame": "view"}, "normal_frame: expected 'camera' or 'world', got 'view'"),
         (NORMAL, {"depth": 1.0, "normal_encoding": "rgb"}, "normal_encoding: expected 'vector' or 'color'"),

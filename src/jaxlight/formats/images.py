@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from .errors import SceneFileError
+from .levels import refuse_levels
 from .limits import MAX_PIXELS, read_bounded
 from .quantize import quantize
 from .safe_write import written_whole
@@ -93,11 +94,12 @@ def write_image(path: str | Path, image: Any, *, bits: int = 8) -> None:
         bits: 8 or 16 a component, of a PNG.
 
     Raises:
-        ValueError: a shape, a suffix or a number (NaN) that cannot be written.
+        ValueError: a shape, a suffix or a number (NaN) that cannot be written; levels of 8 or 16 bits for numbers.
         ImportError: it needs OpenImageIO, which is not installed.
         OSError: the folder does not exist, or the system refuses.
     """
     path = Path(path)
+    refuse_levels(str(path), image)
     pixels = np.asarray(image, dtype=np.float64)
     pixels = pixels[:, :, None] if pixels.ndim == 2 else pixels
     if pixels.ndim != 3 or pixels.shape[2] not in _MODES or pixels.size == 0:

@@ -10,10 +10,13 @@ from typing import Any, Literal
 import numpy as np
 
 from ..formats import read_image
+from ..formats.levels import is_levels
 
 MAX_BYTES = 1 << 31
 _ARRAYS = (".npy", ".npz")
 _IMAGES_OF_NUMBERS = (".exr",)
+_OF_COLOURS = ("normal", "color")
+"""Maps of which the integers of an image file are no values; depths may be whole millimetres."""
 
 
 def map_values(what: str, value: Any) -> tuple[np.ndarray, Literal["vector", "color"]]:
@@ -24,11 +27,12 @@ def map_values(what: str, value: Any) -> tuple[np.ndarray, Literal["vector", "co
         value: an array, or the path of an .npy, .npz or image file.
 
     Raises:
-        ValueError: not numbers, a file that cannot be read, an .npz without an array of that name.
+        ValueError: not numbers, normals or colours as levels of 8 or 16 bits, a file that cannot be read, an .npz
+            without an array of that name.
     """
     if not isinstance(value, (str, Path)):
         try:
-            return _numbers(value), "vector"
+            return _numbers(what, value), "vector"
         except ValueError as error:
             raise ValueError(f"samples_from_maps: {what}: {error}") from None
     path = Path(value)
@@ -37,7 +41,7 @@ def map_values(what: str, value: Any) -> tuple[np.ndarray, Literal["vector", "co
         image = read_image(path)
         return image, "vector" if suffix in _IMAGES_OF_NUMBERS else "color"
     try:
-        return _numbers(_stored(what, path)), "vector"
+        return _numbers(what, _stored(what, path)), "vector"
     except (OSError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
         reason = getattr(error, "strerror", None) or f"not an array file: {error}"
         raise ValueError(f"samples_from_maps: {what}: {path}: {reason}") from None
@@ -80,11 +84,16 @@ def fitted(what: str, array: np.ndarray, height: int, width: int, channels: int 
     return array
 
 
-def _numbers(value: Any) -> np.ndarray:
+def _numbers(what: str, value: Any) -> np.ndarray:
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "fiub":
             raise TypeError
-        return array.astype(np.float64)
     except (TypeError, ValueError):
         raise ValueError(f"expected numbers, got {value!r:.60}") from None
+    if what in _OF_COLOURS and is_levels(array):
+        said = "; with normal_encoding='color'" if what == "normal" else ""
+        raise ValueError(
+            f"got {array.dtype}; divide by {np.iinfo(array.dtype).max}{said}, or give the image file's path"
+        )
+    return array.astype(np.float64)
