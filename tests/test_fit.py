@@ -25,6 +25,7 @@ from jaxlight import Fit, Free, SampleBuffer, View, fit, nodes
 from jaxlight.fit import run
 from jaxlight.fit.fitting import run_fit
 from jaxlight.fit.problem import make_problem
+from jaxlight.fit.views import view_data
 
 FREE = [
     "Material[body].diffuse_color",
@@ -213,6 +214,28 @@ def test_masked_points_may_hold_anything() -> None:
         assert np.all(result.residual_image()[10:20, 10:20] == 0)
 
 
+HALF = np.arange(SIZE * SIZE).reshape(SIZE, SIZE) % 2 == 0
+MASKS: dict[str, np.ndarray] = {
+    "floats": np.where(HALF, 0.5, 0.49),
+    "as read_image gives it": np.where(HALF, 1.0, 0.2)[..., None],
+    "integers": np.where(HALF, -3, 0),
+    "8 bits of truth": HALF.astype(np.uint8),
+    "8 bits": np.where(HALF, 128, 127).astype(np.uint8),
+    "16 bits": np.where(HALF, 32768, 32767).astype(np.uint16),
+}
+
+
+@pytest.mark.parametrize("case", MASKS)
+def test_a_mask_leaves_out_what_is_darker_than_one_half(case: str) -> None:
+    with precision("float32") as dtype:
+        samples = sphere_samples(SIZE, dtype=dtype)
+        weights = [
+            view_data(start(dtype), View(samples, sphere_picture(SIZE), mask=mask), 0, dtype).root_weight
+            for mask in (HALF, MASKS[case])
+        ]
+    np.testing.assert_array_equal(*weights)
+
+
 def test_samples_without_pixels_take_rows() -> None:
     points, pixel = sphere_points(SIZE)
     rows = sphere_picture(SIZE).reshape(-1, 3)[pixel]
@@ -305,6 +328,11 @@ WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "size": ({"target": np.zeros((4, 5, 3)), "name": "front"}, {}, "View[front].target: expected shape [48, 48, 3] or [1804, 3], got [4, 5, 3]"),
     "words": ({"target": "photo.png"}, {}, "View[0].target: expected numbers, got 'photo.png'"),
     "mask size": ({"mask": np.ones(3)}, {}, "View[0].mask: expected shape [48, 48] or [1804], got [3]"),
+    "mask of NaN": ({"mask": np.full((48, 48), np.nan)}, {}, "View[0].mask: 2304 of its 2304 numbers are NaN"),
+    "mask of words": ({"mask": "mask.png"}, {}, "View[0].mask: expected numbers or truth values, got 'mask.png'"),
+    "alpha": ({"target": np.ones((48, 48, 4))}, {}, "got [48, 48, 4]; the last channel, alpha, can go into the mask: target[..., :-1], mask=target[..., -1]"),
+    "8-bit target": ({"target": np.ones((48, 48, 3), np.uint8)}, {}, "View[0].target: got uint8; divide by 255 (dequantize) or use read_image"),
+    "16-bit background": ({"background": np.ones((48, 48, 3), np.uint16)}, {}, "View[0].background: got uint16; divide by 65535"),
     "empty mask": ({"mask": np.zeros((48, 48))}, {}, "View[0]: mask, weight and coverage leave no point to fit"),
     "weight": ({"weight": -np.ones((48, 48))}, {}, "View[0].weight: every weight must be finite and >= 0"),
     "noise": ({"noise": 0.0}, {}, "View[0].noise: every standard deviation must be finite and > 0"),

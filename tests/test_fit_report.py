@@ -47,7 +47,7 @@ def fitted() -> tuple[jl.Fit, list[jl.View], jl.Scene]:
     right = np.where(mask[..., None], 2 * left[:, ::-1], 7.0)
     views = [
         jl.View(samples, left, lights=["PointLight[left]"], name="a"),
-        jl.View(samples, right, lights=["PointLight[right]"], mask=mask, exposure=2.0, name="b"),
+        jl.View(samples, right, lights=["PointLight[right]"], mask=np.where(mask, 0.9, 0.1), exposure=2.0, name="b"),
     ]
     return jl.fit(make_scene(), views, "PointLight[*].intensity"), views, truth
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..image import resolve, sky
 from . import normal
 from .problem import Problem
-from .views import View, ViewData
+from .views import View, ViewData, is_fitted
 
 if TYPE_CHECKING:
     from .fitting import Fit
@@ -66,7 +66,9 @@ def _pictures_of_view(result: Fit, row: int, view: View) -> ViewPictures:
         return array if array.ndim == 3 else array[..., None]
 
     used = covered > (1 - 1e-6 if view.background is None else 0)
-    for field in (view.mask, view.weight):
+    name = f"View[{view.name or row}]"
+    mask = None if view.mask is None else is_fitted(f"{name}.mask", view.mask)
+    for field in (mask, view.weight):
         if field is not None:
             used &= np.any(as_picture(field) > 0, axis=-1)
     target = np.broadcast_to(as_picture(view.target), (*covered.shape, 3))
@@ -77,7 +79,7 @@ def _pictures_of_view(result: Fit, row: int, view: View) -> ViewPictures:
         uncovered = (covered == 0).astype(np.float64)
     seen = np.where(covered[..., None] > 0, model_image(result.problem, result.state.values, row), 0)
     model = seen + float(result.exposure[row]) * uncovered[..., None] * np.asarray(behind, np.float64)
-    return ViewPictures(f"View[{view.name or row}]", np.nan_to_num(target), model, used)
+    return ViewPictures(name, np.nan_to_num(target), model, used)
 
 
 def model_image(problem: Problem, values: Any, view: int) -> np.ndarray:

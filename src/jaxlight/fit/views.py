@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..formats.levels import is_levels, refuse_levels
 from ..raster.samples import SampleBuffer
 from ..scene.flags import Flags
 from ..scene.paths import LIGHT_ATTRIBUTES, LIGHT_KINDS, light_rows
@@ -27,7 +28,9 @@ class View:
     Args:
         samples: the sample buffer (`rasterize`, `samples_from_maps`, `SampleBuffer.create`).
         target: [height, width, 3], row 0 at the top; or [N, 3] in sample order; without the 3 for a grey picture.
-        mask: [height, width] or [N], False where the picture is not to be fitted (cast shadows, other objects).
+        mask: [height, width] or [N], also with a last axis of 1, False where the picture is not to be fitted (cast
+            shadows, other objects). Floats below one half mean False, as do integers that are 0; of pictures of 8 or 16
+            bits, whose largest number is above 1, those below half of the range.
         weight: weight of the squared residual, >= 0, shape of the mask or of the target.
         noise: standard deviation of the picture's noise, > 0, a number or shape of the mask or of the target. Weights
             the residuals by 1 / noise^2; stated in every view, it makes standard errors absolute.
@@ -91,7 +94,7 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
     layout = _Layout.of(label, samples)
     mask = np.ones(layout.points, dtype=bool)
     if view.mask is not None:
-        mask = layout.points_of("mask", view.mask, grey=True)[:, 0] != 0
+        mask = layout.points_of("mask", is_fitted(f"{label}.mask", view.mask), grey=True)[:, 0] != 0
     weight = np.ones((layout.points, 1))
     if view.weight is not None:
         weight = layout.points_of("weight", view.weight)
@@ -105,12 +108,14 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         weight = weight / noise**2
     background = None
     if view.background is not None:
+        refuse_levels(f"{label}.background", view.background)
         background = np.asarray(view.background, dtype=np.float64)
         background = background[None].repeat(layout.points, 0) if background.shape == (3,) else None
         if background is None:
             background = layout.points_of("background", view.background)
     elif layout.covered is not None:
         mask &= layout.covered > 1 - 1e-6
+    refuse_levels(f"{label}.target", view.target)
     target = layout.points_of("target", view.target)
     used = mask & np.any(weight > 0, axis=1)
     bad = used & ~np.all(np.isfinite(target), axis=1)
@@ -142,6 +147,24 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         pixel=None if layout.pixel is None else jnp.asarray(layout.pixel, dtype=jnp.int32),
         share=None if layout.share is None else jnp.asarray(layout.share, dtype=dtype),
     )
+
+
+def is_fitted(where: str, mask: Any) -> np.ndarray:
+    """What a mask chooses, in its own shape: True where the picture is fitted (see `View`).
+
+    Raises:
+        ValueError: no numbers, or NaN among them.
+    """
+    array = np.asarray(mask)
+    if array.dtype.kind not in "biuf":
+        raise ValueError(f"{where}: expected numbers or truth values, got {mask!r:.60}")
+    if array.dtype.kind == "f":
+        if np.any(np.isnan(array)):
+            raise ValueError(f"{where}: {np.count_nonzero(np.isnan(array))} of its {array.size} numbers are NaN")
+        return array >= 0.5
+    if is_levels(array) and np.any(array > 1):
+        return array > np.iinfo(array.dtype).max // 2
+    return array != 0
 
 
 def _scope(lights: Any, rows: np.ndarray | None) -> Flags | None:
@@ -200,13 +223,16 @@ class _Layout:
             shapes.append((height or 0, width or 0))
         if self.pixel is None:
             shapes.append((self.samples.count,))
-        tails = ((),) if grey else ((), (1,), (3,))
+        tails = ((), (1,)) if grey else ((), (1,), (3,))
         for shape in shapes:
             if array.shape in [(*shape, *tail) for tail in tails]:
                 rows = array.reshape(int(np.prod(shape)), -1)
                 return rows[self.image_index] if len(shape) == 2 and self.image_index is not None else rows
         allowed = " or ".join(str([*shape, *([] if grey else [3])]) for shape in shapes)
-        raise ValueError(f"{self.label}.{field}: expected shape {allowed}, got {list(array.shape)}")
+        hint = ""
+        if field == "target" and array.shape in [(*shape, tail) for shape in shapes for tail in (2, 4)]:
+            hint = "; the last channel, alpha, can go into the mask: target[..., :-1], mask=target[..., -1]"
+        raise ValueError(f"{self.label}.{field}: expected shape {allowed}, got {list(array.shape)}{hint}")
 
     def stored(self, rows: np.ndarray, dtype: Any) -> Any:
         """[points, channels] -> planes [channels, stored points], padding 0."""
