@@ -125,6 +125,8 @@ def test_ranges_are_the_specifications(scene: Scene) -> None:
 
 
 def test_light_rows(scene: Scene) -> None:
+    one, several = (paths.light_rows(scene, lights) for lights in ("PointLight[key*]", ["PointLight[key*]"]))
+    assert all(one[kind].tolist() == several[kind].tolist() for kind in paths.LIGHT_KINDS)
     rows = paths.light_rows(scene, ["PointLight[key*]", "SpotLight[7]"])
     assert {kind: found.tolist() for kind, found in rows.items()} == {
         "DirectionalLight": [],

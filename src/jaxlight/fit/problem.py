@@ -26,7 +26,7 @@ from .part import WHOLE, Part, choose_part
 from .residuals import LossKind
 from .sampling import TexelSampling, texel_sampling
 from .strides import UNLIMITED, Strides, stride_of
-from .views import View, ViewData, view_data
+from .views import View, ViewData, exposure_of, view_data
 
 
 class Problem(eqx.Module):
@@ -105,8 +105,9 @@ def make_problem(
     names = [view.name for view in each]
     dtype = _float_type(scene)
     _check_finite(scene)
+    exposures = [exposure_of(view, row) for row, view in enumerate(each)]
     # The document is no number and would only make programs of equal scenes differ.
-    world = World(dataclasses.replace(scene, document=None), jnp.asarray([view.exposure for view in each], dtype=dtype))
+    world = World(dataclasses.replace(scene, document=None), jnp.asarray(exposures, dtype=dtype))
     parameters, fields = free_parameters(world, free, names, dtype)
     data = [_planned(world, parameters, view_data(scene, view, row, dtype), options) for row, view in enumerate(each)]
     labels = [""] * parameters.few

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from ..formats.levels import is_levels, refuse_levels
 from ..raster.samples import SampleBuffer
+from ..scene.fields import number, positive
 from ..scene.flags import Flags
 from ..scene.paths import LIGHT_ATTRIBUTES, LIGHT_KINDS, light_rows
 from ..scene.scene import Scene
@@ -35,7 +36,7 @@ class View:
         noise: standard deviation of the picture's noise, > 0, a number or shape of the mask or of the target. Weights
             the residuals by 1 / noise^2; stated in every view, it makes standard errors absolute.
         exposure: factor between the scene's light and the picture's numbers; free it as `View[0].exposure`.
-        lights: the lights that shone, such as `("PointLight[3]",)`; None: all lights of the scene.
+        lights: the light that shone, such as `"PointLight[3]"`, or several; None: all lights of the scene.
         saturated: values at or above are lower limits (the sensor was full), not measurements.
         dark: values at or below are upper limits (nothing was recorded).
         background: RGB or [height, width, 3]; shade's alpha and partly covered pixels are composited over it.
@@ -50,7 +51,7 @@ class View:
     weight: Any = None
     noise: Any = None
     exposure: float = 1.0
-    lights: Sequence[str] | None = None
+    lights: str | Sequence[str] | None = None
     saturated: float | None = None
     dark: float | None = None
     background: Any = None
@@ -101,7 +102,7 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         if not np.all(np.isfinite(weight) & (weight >= 0)):
             raise ValueError(f"{label}.weight: every weight must be finite and >= 0")
     if view.noise is not None:
-        noise = np.asarray(view.noise, dtype=np.float64)
+        noise = _numbers(f"{label}.noise", view.noise)
         noise = np.full((layout.points, 1), noise) if noise.ndim == 0 else layout.points_of("noise", noise)
         if not np.all(np.isfinite(noise) & (noise > 0)):
             raise ValueError(f"{label}.noise: every standard deviation must be finite and > 0")
@@ -109,10 +110,12 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
     background = None
     if view.background is not None:
         refuse_levels(f"{label}.background", view.background)
-        background = np.asarray(view.background, dtype=np.float64)
+        background = _numbers(f"{label}.background", view.background)
         background = background[None].repeat(layout.points, 0) if background.shape == (3,) else None
         if background is None:
             background = layout.points_of("background", view.background)
+        if not np.all(np.isfinite(background)):
+            raise ValueError(f"{label}.background: every number must be finite")
     elif layout.covered is not None:
         mask &= layout.covered > 1 - 1e-6
     refuse_levels(f"{label}.target", view.target)
@@ -126,8 +129,10 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         )
     if not np.any(used):
         raise ValueError(f"{label}: mask, weight and coverage leave no point to fit")
-    if not (np.isfinite(view.exposure) and view.exposure > 0):
-        raise ValueError(f"{label}.exposure: expected a finite number > 0, got {view.exposure!r}")
+    saturated, dark = (
+        default if given is None else number(f"{label}.{field}", given, infinite=True)
+        for field, given, default in (("saturated", view.saturated, np.inf), ("dark", view.dark, -np.inf))
+    )
     target = np.broadcast_to(np.where(used[:, None], target, 0.0), (layout.points, 3))
     root_weight = np.sqrt(weight) * used[:, None]
     rows = None if view.lights is None else light_rows(scene, view.lights)
@@ -137,8 +142,8 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         samples=samples,
         target=layout.stored(target, dtype),
         root_weight=layout.stored(root_weight, dtype),
-        saturated=jnp.asarray(np.inf if view.saturated is None else view.saturated, dtype=dtype),
-        dark=jnp.asarray(-np.inf if view.dark is None else view.dark, dtype=dtype),
+        saturated=jnp.asarray(saturated, dtype=dtype),
+        dark=jnp.asarray(dark, dtype=dtype),
         row=jnp.asarray(row, dtype=jnp.int32),
         lights=tuple(None if own is None else jnp.asarray(own) for own in chosen),
         in_scope=tuple(scopes),
@@ -147,6 +152,11 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         pixel=None if layout.pixel is None else jnp.asarray(layout.pixel, dtype=jnp.int32),
         share=None if layout.share is None else jnp.asarray(layout.share, dtype=dtype),
     )
+
+
+def exposure_of(view: View, row: int) -> float:
+    """The exposure of a view, checked: a finite number > 0."""
+    return positive(f"View[{view.name or row}].exposure", view.exposure)
 
 
 def is_fitted(where: str, mask: Any) -> np.ndarray:
@@ -165,6 +175,13 @@ def is_fitted(where: str, mask: Any) -> np.ndarray:
     if is_levels(array) and np.any(array > 1):
         return array > np.iinfo(array.dtype).max // 2
     return array != 0
+
+
+def _numbers(where: str, value: Any) -> np.ndarray:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{where}: expected numbers, got {value!r:.60}") from None
 
 
 def _scope(lights: Any, rows: np.ndarray | None) -> Flags | None:
@@ -213,10 +230,7 @@ class _Layout:
 
     def points_of(self, field: str, value: Any, *, grey: bool = False) -> np.ndarray:
         """[points, 3] (or [points, 1]) from a picture or from rows in sample order."""
-        try:
-            array = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise ValueError(f"{self.label}.{field}: expected numbers, got {value!r:.60}") from None
+        array = _numbers(f"{self.label}.{field}", value)
         height, width = self.samples.height, self.samples.width
         shapes: list[tuple[int, ...]] = []
         if self.image_index is not None:

@@ -165,14 +165,17 @@ def select(scene: Scene, path: Path | Iterable[Path]) -> list[Selection]:
     return [Selection(leaf, mask) for leaf, mask in masks.items()]
 
 
-def light_rows(scene: Scene, paths: Iterable[str]) -> dict[str, np.ndarray]:
-    """The rows of each kind of light that paths such as `PointLight[key]` mean.
+def light_rows(scene: Scene, paths: str | Iterable[str]) -> dict[str, np.ndarray]:
+    """The rows of each kind of light that a path such as `PointLight[key]`, or several, mean.
 
     Raises:
         ValueError: no such light; lists those that exist.
     """
+    paths = [paths] if isinstance(paths, str) else list(paths) if isinstance(paths, Iterable) else [paths]
     rows: dict[str, set[int]] = {kind: set() for kind in LIGHT_KINDS}
     for path in paths:
+        if not isinstance(path, str):
+            raise ValueError(f"lights: expected a light such as 'PointLight[0]', got {path!r:.60}")
         kind, row, field, _ = _parse(path if "." in path.rpartition("]")[2] else f"{path}.*")
         if kind not in LIGHT_KINDS or field != "*":
             raise ValueError(f"lights: expected a light such as 'PointLight[0]', got {path!r}{_lights_there(scene)}")
