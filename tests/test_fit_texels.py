@@ -189,6 +189,11 @@ WRONG: dict[str, tuple[Any, str]] = {
     "size of bounds": (Free(SKIN, upper=np.ones((2, 5))), "Texture[skin].image: upper: expected one number, one a component, or an image"),
     "prior": (Free(SKIN, mean=0.3), "Texture[skin].image: a prior mean needs a deviation"),
     "smoothness": (Free(SKIN, smoothness=0.0), "Texture[skin].image: smoothness: expected a number > 0, got 0.0"),
+    "smoothness in words": (Free(SKIN, smoothness="a"), "Texture[skin].image: smoothness: expected a number > 0, got 'a'"),
+    "deviation": (Free(SKIN, deviation=-1), "Texture[skin].image: deviation: expected a number > 0, got -1"),
+    "NaN bound": (Free(SKIN, lower=np.nan), "Texture[skin].image: lower: expected one number, one a component, or an image"),
+    "bound in words": (Free(SKIN, upper="a"), "Texture[skin].image: upper: expected one number, one a component, or an image"),
+    "reversed bounds": (Free(SKIN, lower=0.9, upper=[0.1, 1, 1]), "Texture[skin].image: 144 texels have a lower bound above their upper bound"),
     "not a texture": (Free("Material[body].shininess", smoothness=1.0), "smoothness and total_variation are for whole textures"),
     "twice": ([SKIN, SKIN + "[0][0][1]"], "Texture[0].image is named twice"),
 }  # fmt: skip

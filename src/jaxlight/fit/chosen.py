@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import fnmatch
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,7 +64,10 @@ def choose(
     catalogue: Catalogue, where: Any, view_names: Sequence[str], *, blocks: bool
 ) -> tuple[list[Chosen], list[paths.Leaf]]:
     """The numbers that the paths mean, in the order of the scene's fields, and the textures that are meant whole."""
-    each = [where] if isinstance(where, str) or callable(where) else list(where)
+    each = list(where) if isinstance(where, Iterable) and not isinstance(where, str) else [where]
+    for path in each:
+        if not (isinstance(path, str) or callable(path)):
+            raise ValueError(f"free: expected a field path or a function of the scene, got {path!r:.80}")
     exposures = [path for path in each if isinstance(path, str) and path.startswith("View[")]
     chosen = []
     selections = paths.select(catalogue.scene, [path for path in each if path not in exposures])

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
 
 from ..scene import paths
+from ..scene.fields import number
 from ..scene.paths import Path
 from .chosen import Catalogue, Chosen, choose
 from .parameters import FreeField, FreeLeaf, Parameters, TexelBlock, World
@@ -147,8 +148,11 @@ def _texel_block(
 
     def spread(option: str, given: Any, default: Any) -> np.ndarray:
         try:
-            return np.broadcast_to(np.asarray(default if given is None else given, np.float64), shape).reshape(-1)
-        except ValueError:
+            numbers = np.asarray(default if given is None else given, np.float64)
+            if np.any(np.isnan(numbers)):
+                raise ValueError
+            return np.broadcast_to(numbers, shape).reshape(-1)
+        except (TypeError, ValueError):
             allowed = f"one number, one a component, or an image of shape {list(shape)}"
             raise ValueError(f"{path}: {option}: expected {allowed}, got {given!r:.60}") from None
 
@@ -156,20 +160,22 @@ def _texel_block(
         spread("lower", request.lower, leaf.range.lower),
         spread("upper", request.upper, leaf.range.upper),
     )
+    if np.any(low > high):
+        raise ValueError(f"{path}: {np.count_nonzero(low > high)} texels have a lower bound above their upper bound")
     outside = (start.reshape(-1) < low - 1e-6) | (start.reshape(-1) > high + 1e-6)
     if np.any(outside):
         raise ValueError(f"{path}: {np.count_nonzero(outside)} texels start outside their bounds")
     if request.mean is not None and request.deviation is None:
         raise ValueError(f"{path}: a prior mean needs a deviation")
     deviation = spread("deviation", request.deviation, np.inf)
-    for option in ("deviation", "smoothness", "total_variation"):
-        given = getattr(request, option)
-        if given is not None and not np.all(np.asarray(given) > 0):
-            raise ValueError(f"{path}: {option}: expected a number > 0, got {given!r:.40}")
-    smoothness = 0.0 if request.smoothness is None else request.smoothness**-2
-    variation = 0.0 if request.total_variation is None else 1 / request.total_variation
+    if not np.all(deviation > 0):
+        raise ValueError(f"{path}: deviation: expected a number > 0, got {request.deviation!r:.40}")
+    smoothness, variation = (
+        0.0 if given is None else 1 / number(f"{path}: {option}", given, above=0.0, infinite=True)
+        for option, given in (("smoothness", request.smoothness), ("total_variation", request.total_variation))
+    )
     block = TexelBlock(
-        smoothness=jnp.asarray(smoothness, dtype),
+        smoothness=jnp.asarray(smoothness**2, dtype),
         total_variation=jnp.asarray(variation, dtype),
         texture=leaf.row,
         offset=offset,
@@ -182,15 +188,23 @@ def _texel_block(
 
 def _requests(free: Any) -> list[Free]:
     if isinstance(free, Mapping):
-        return [Free(path, **dict(options or {})) for path, options in free.items()]
-    if isinstance(free, (str, Free)) or callable(free):
-        free = [free]
+        return [_with_options(path, options) for path, options in free.items()]
+    each = list(free) if isinstance(free, Iterable) and not isinstance(free, str) else [free]
     requests = []
-    for one in free:
+    for one in each:
         if not (isinstance(one, (str, Free)) or callable(one)):
             raise ValueError(f"free: expected a field path, a function of the scene or a Free, got {one!r:.80}")
         requests.append(one if isinstance(one, Free) else Free(one))
     return requests
+
+
+def _with_options(path: Any, options: Any) -> Free:
+    """An entry of a mapping from path to options."""
+    known = [field.name for field in dataclasses.fields(Free) if field.name != "where"]
+    options = {} if options is None else options
+    if not isinstance(options, Mapping) or not set(options) <= set(known):
+        raise ValueError(f"free: {path}: expected a mapping with some of {', '.join(known)}, got {options!r:.80}")
+    return Free(path, **options)
 
 
 def _check_tie(chosen: list[Chosen], rows: list[str]) -> None:
@@ -204,15 +218,20 @@ def _check_lengths(request: Free, chosen: list[Chosen]) -> None:
     sizes = Counter(one.path for one in chosen)
     for option in ("lower", "upper", "mean", "deviation"):
         given = getattr(request, option)
-        length = 1 if given is None else np.size(given)
+        length = 1 if given is None else len(_flat(given))
         for path, size in sizes.items():
             if length not in (1, size):
                 raise ValueError(f"{path}: {option}: expected one number or {size}, got {length}")
 
 
-def _component(given: Any, component: int) -> float:
-    array = np.asarray(given, dtype=np.float64).reshape(-1)
-    return float(array[0 if len(array) == 1 else component])
+def _flat(given: Any) -> np.ndarray:
+    """What was given as one number or one a component, unchecked."""
+    return np.asarray(given, dtype=object).reshape(-1)
+
+
+def _component(where: str, given: Any, component: int, **allowed: Any) -> float:
+    each = _flat(given)
+    return number(where, each[0 if len(each) == 1 else component], **allowed)
 
 
 def _bounds(request: Free, one: Chosen, component: int, value: float) -> tuple[float, float]:
@@ -221,11 +240,13 @@ def _bounds(request: Free, one: Chosen, component: int, value: float) -> tuple[f
     low = 1e-3 * min(1.0, abs(value)) if allowed.open_below else allowed.lower
     high = allowed.upper
     if request.lower is not None:
-        low = max(low, _component(request.lower, component))
+        low = max(low, _component(f"{one.path}: lower", request.lower, component, infinite=True))
     if request.upper is not None:
-        high = min(high, _component(request.upper, component))
+        high = min(high, _component(f"{one.path}: upper", request.upper, component, infinite=True))
     if allowed.open_below and value <= allowed.lower:
         raise ValueError(f"{one.label} starts at {value:g}, but must be in {allowed}")
+    if low > high:
+        raise ValueError(f"{one.label}: the lower bound {low:g} is above the upper bound {high:g}")
     _check_inside(one.label, value, low, high)
     return low, high
 
@@ -241,7 +262,5 @@ def _prior(request: Free, one: Chosen, component: int, value: float) -> tuple[fl
         if request.mean is not None:
             raise ValueError(f"{one.path}: a prior mean needs a deviation")
         return value, None
-    deviation = _component(request.deviation, component)
-    if not deviation > 0:
-        raise ValueError(f"{one.path}: deviation: expected a number > 0, got {deviation:g}")
-    return (value if request.mean is None else _component(request.mean, component)), deviation
+    deviation = _component(f"{one.path}: deviation", request.deviation, component, above=0.0, infinite=True)
+    return (value if request.mean is None else _component(f"{one.path}: mean", request.mean, component)), deviation
