@@ -357,6 +357,13 @@ BAD_FITS = {
         "--starts: the solver lbfgs",
     ),
     "a mask of another size": (("target.png",), (*FREE, "--masks", "small.png"), "small.png: expected 48 x 48"),
+    "a seed below 0": (("target.png",), (*FREE, "--seed", "-1", "--starts", "2"), "error: --seed: expected a whole"),
+    "no step": (
+        ("target.png",),
+        (*FREE, "--max-steps", "0"),
+        "error: --max-steps: expected a whole number >= 1, got 0",
+    ),
+    "a tolerance that is none": (("target.png",), (*FREE, "--rtol", "nan"), "error: --rtol: expected a finite number"),
 }
 
 

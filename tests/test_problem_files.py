@@ -166,6 +166,13 @@ MISTAKES = {
         'viewpoint = "front"\ncamera = { fx = 1, fy = 1, cx = 0, cy = 0 }\nmask =',
         "11: views[1].camera: expected a camera or a viewpoint, not both",
     ),
+    "a seed below 0": ("[start]", "seed = -1\n[start]", "4: seed: expected a whole number >= 0, got -1"),
+    "no step": ("[start]", "max_steps = 0\n[start]", "4: max_steps: expected a whole number >= 1, got 0"),
+    "a scale that is none": (
+        "[start]",
+        'loss = "huber"\nloss_scale = -1\n[start]',
+        "5: loss_scale: for the huber loss: expected a finite number > 0, got -1",
+    ),
     "bounds without the start": ("lower = 0.1", "lower = 0.99", "outside its bounds [0.99, 1]"),
 }
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from .files import spare
 from .fit_views import make_views
 from .options import use_precision
-from .problem import FitProblem, Source, blamed_on, input_files
+from .problem import FitProblem, Source, blamed_by_name, blamed_on, input_files
 from .progress import stages
 from .start_values import with_start_values
 from .status import FAILURE, INTERRUPTED, SUCCESS
@@ -71,7 +71,7 @@ class FitJob:
         if method is not None and self.resume:
             raise ValueError(f"--resume: the solver {problem.solver} has no checkpoints")
         frees = [dataclasses.asdict(one) for one in problem.frees]
-        with blamed_on(source):
+        with blamed_by_name(source):
             result = fit(
                 scene,
                 views,

@@ -31,7 +31,7 @@ class CommandLine:
 
     def error(self, key: Key, message: str) -> ValueError:
         """`--free: message`, `--start: path: message`; what belongs to a picture names that itself."""
-        option = f"--{key[0]}: " if key and key[0] != "views" else ""
+        option = f"--{str(key[0]).replace('_', '-')}: " if key and key[0] != "views" else ""
         path = f"{key[1]}: " if option and len(key) > 1 and isinstance(key[1], str) else ""
         return ValueError(f"{option}{path}{message}")
 
@@ -159,6 +159,19 @@ def blamed_on(source: Source, *key: str | int) -> Iterator[None]:
         yield
     except ValueError as error:
         raise source.error(key, str(error)) from None
+
+
+@contextlib.contextmanager
+def blamed_by_name(source: Source) -> Iterator[None]:
+    """Errors of the block that begin with the name of a setting, as those of `fit` do, are about its entry."""
+    settings = [field.name for field in dataclasses.fields(FitSettings)]
+    try:
+        yield
+    except ValueError as error:
+        name, _, message = str(error).partition(": ")
+        if name in settings:
+            raise source.error((name,), message) from None
+        raise source.error((), str(error)) from None
 
 
 def input_files(problem: Any) -> list[Path]:

@@ -15,6 +15,7 @@ import equinox as eqx
 import numpy as np
 
 from ..lighting import LightingOptions
+from ..scene.fields import non_negative, whole
 from ..scene.scene import Scene
 from .checkpoint import Checkpoint, CheckpointWarning
 from .earlier import spare_unfinished
@@ -166,10 +167,10 @@ def fit(
         ValueError: a path, shape, bound or value that does not fit, found before anything is compiled; a checkpoint
             that belongs to another fit or is damaged, or that only `resume` or `overwrite` may replace.
     """
-    if starts < 1:
-        raise ValueError(f"starts: expected at least 1, got {starts}")
-    if max_steps < 1:
-        raise ValueError(f"max_steps: expected at least 1, got {max_steps}")
+    whole("starts", starts, at_least=1)
+    whole("max_steps", max_steps, at_least=1)
+    whole("seed", seed, at_least=0)
+    non_negative("checkpoint_seconds", checkpoint_seconds, infinite=True)
     if resume and checkpoint is None:
         raise ValueError("resume: expected a checkpoint to resume from")
     if resume and overwrite:

@@ -16,6 +16,7 @@ from ..lighting import LightingOptions, make_plan
 from ..lighting.shade import check_samples
 from ..lighting.tiles import in_fitting_tiles
 from ..scene.checks import check_scene
+from ..scene.fields import positive
 from ..scene.flags import Flags
 from ..scene.paths import LIGHT_ATTRIBUTES, Leaf
 from ..scene.scene import Scene
@@ -100,8 +101,8 @@ def make_problem(
         raise ValueError("views: expected a View or a list of at least one View")
     if loss not in ("squares", "huber", "cauchy"):
         raise ValueError(f"loss: expected 'squares', 'huber' or 'cauchy', got {loss!r}")
-    if loss != "squares" and not (loss_scale is not None and np.isfinite(loss_scale) and loss_scale > 0):
-        raise ValueError(f"loss_scale: the {loss} loss needs a number > 0, got {loss_scale!r}")
+    if loss != "squares":
+        positive(f"loss_scale: for the {loss} loss", loss_scale)
     names = [view.name for view in each]
     dtype = _float_type(scene)
     _check_finite(scene)

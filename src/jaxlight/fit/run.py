@@ -26,6 +26,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..lighting.compiling import is_traced, quick_jit
 from ..lighting.cores import in_threads, shares_of
 from ..lighting.tiles import Share
+from ..scene.fields import non_negative
 from . import normal
 from .problem import Problem
 from .solver import BoundedLevenbergMarquardt, SolverState, default_tolerance
@@ -90,8 +91,8 @@ def make_solver(problem: Problem, *, rtol: float | None = None, atol: float | No
     dtype = parameters.start.dtype
     default_rtol, default_atol = default_tolerance(dtype)
     return BoundedLevenbergMarquardt(
-        rtol=jnp.asarray(default_rtol if rtol is None else rtol, dtype),
-        atol=jnp.asarray(default_atol if atol is None else atol, dtype),
+        rtol=jnp.asarray(default_rtol if rtol is None else non_negative("rtol", rtol), dtype),
+        atol=jnp.asarray(default_atol if atol is None else non_negative("atol", atol), dtype),
         lower=parameters.lower,
         upper=parameters.upper,
         strides=problem.strides,

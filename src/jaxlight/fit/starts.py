@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from ..scene.fields import whole
 from .parameters import FreeField
 from .problem import Problem
 from .run import solve
@@ -37,9 +38,8 @@ def random_starts(problem: Problem, fields: list[FreeField], count: int, seed: i
     Lights go to random places on the side that the viewers see, one to four times as far from the middle of the
     samples as those reach; angles and exponents anywhere in their bounds; other fields keep their start value.
     """
-    if count < 1:
-        raise ValueError(f"starts: expected at least 1, got {count}")
-    random = np.random.default_rng(seed)
+    count = whole("starts", count, at_least=1)
+    random = np.random.default_rng(whole("seed", seed, at_least=0))
     parameters = problem.parameters
     start, lower, upper = (np.asarray(a, np.float64) for a in (parameters.start, parameters.lower, parameters.upper))
     middle, reach, towards = _surroundings(problem)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable
 from typing import Any
 
@@ -93,6 +94,18 @@ def non_negative(where: str, value: Any, *, infinite: bool = False) -> float:
 def positive(where: str, value: Any) -> float:
     """One number > 0."""
     return number(where, value, above=0.0)
+
+
+def whole(where: str, value: Any, *, at_least: int) -> int:
+    """One whole number >= `at_least`."""
+    allowed = f"a whole number >= {at_least}"
+    try:
+        n = operator.index(value)
+    except TypeError:
+        raise _refuse(where, value, allowed) from None
+    if isinstance(value, bool) or n < at_least:
+        raise _refuse(where, value, allowed)
+    return n
 
 
 def spot_angle(where: str, value: Any) -> float:
