@@ -383,6 +383,7 @@ WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "rtol below 0": ({}, {"rtol": -1}, "rtol: expected a finite number >= 0, got -1"),
     "atol in words": ({}, {"atol": "x"}, "atol: expected a finite number >= 0, got 'x'"),
     "scale in words": ({}, {"loss": "huber", "loss_scale": "a"}, "loss_scale: for the huber loss: expected a finite number > 0, got 'a'"),
+    "options": ({}, {"options": "x"}, "options: expected LightingOptions, got str"),
     "prior": ({}, {"free": Free("Material[body].shininess", mean=0.2)}, "a prior mean needs a deviation"),
     "a tie of starts": ({}, {"free": Free("Material[body].diffuse_color", tied="all", upper=(1.0, 0.2, 1.0))}, "Material[body].diffuse_color.g starts at 0.5, outside its bounds [0, 0.2]"),
     "a tie to a start": ({}, {"free": Free(["PointLight[key].location.x", "View[0].exposure"], tied="all")}, "View[0].exposure, which is tied, starts at 0, outside its bounds [0.001, inf]"),
@@ -407,6 +408,8 @@ def test_a_scene_with_a_number_that_is_none_is_refused() -> None:
             fit(broken_scene, view_of(), FREE)
         with pytest.raises(ValueError, match="views: expected a View"):
             fit(scene, [], FREE)
+        with pytest.raises(ValueError, match="views: expected a View"):
+            fit(scene, None, FREE)  # type: ignore[arg-type]
 
 
 # --- other minimisers ----------------------------------------------------------------------------------------------------

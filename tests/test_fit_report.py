@@ -167,6 +167,12 @@ def test_one_bad_pixel_does_not_hide_the_other_differences(fitted) -> None:
     assert np.all(shown[..., 0] > shown[..., 2] + 100)  # red, where the model is brighter
 
 
+def test_arguments_in_another_order_are_refused(fitted, tmp_path: Path) -> None:
+    result, views, _ = fitted
+    with pytest.raises(ValueError, match="result: expected a Fit, got str"):
+        jl.write_report(result, str(tmp_path / "report.html"), views)
+
+
 def test_names_from_files_are_escaped(tmp_path: Path) -> None:
     scene = make_scene()
     samples = jl.rasterize(scene, None, SIZE, SIZE)

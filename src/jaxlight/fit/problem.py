@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -96,7 +96,7 @@ def make_problem(
         ValueError: names the view, field or option, what came and what is allowed.
     """
     check_scene(scene)
-    each = [views] if isinstance(views, View) else list(views)
+    each = list(views) if isinstance(views, Iterable) else [views]
     if not each or not all(isinstance(view, View) for view in each):
         raise ValueError("views: expected a View or a list of at least one View")
     if loss not in ("squares", "huber", "cauchy"):

@@ -58,8 +58,10 @@ def write_report(
         warnings: what was said while scene and pictures were read and fitted, a sentence each; None: not known.
 
     Raises:
-        ValueError: another number of views than the fit had.
+        ValueError: `result` is not what `fit` returns; another number of views than the fit had.
     """
+    if not isinstance(result, Fit):
+        raise ValueError(f"result: expected a Fit, got {type(result).__name__}")
     pictures = view_pictures(result, views)
     page = report_page(result, pictures, title=title, transfer=transfer, warnings=warnings)
     with written_whole(Path(path)) as draft:
