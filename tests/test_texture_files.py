@@ -106,6 +106,14 @@ def test_a_file_that_the_replaced_scene_does_not_name_is_never_overwritten(
     assert (tmp_path / "scene_texture.png").read_text() == "mine"
 
 
+def test_a_link_to_nothing_is_kept_too(textured: Path) -> None:
+    link = textured.parent / "fitted_wood.png"
+    link.symlink_to("elsewhere.png")
+    save(with_texels(load(textured), np.zeros((1, 1, 3))), textured.parent / "fitted.x3d")
+    assert link.is_symlink()
+    assert (textured.parent / "fitted_wood_2.png").is_file()
+
+
 def test_saving_again_replaces_the_textures_of_the_scene_that_it_replaces(textured: Path) -> None:
     scene, out = load(textured), textured.parent / "fitted.x3d"
     (textured.parent / "fitted_wood.png").write_text("mine")

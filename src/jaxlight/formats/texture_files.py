@@ -95,7 +95,7 @@ class TexturePlan:
 
     def _lost(self, target: Path) -> bool:
         """True if writing `target` would destroy a file that is not the replaced scene's."""
-        return target.exists() and target.resolve() not in self._replaced
+        return (target.is_symlink() or target.exists()) and target.resolve() not in self._replaced
 
     @functools.cached_property
     def _replaced(self) -> set[Path]:
