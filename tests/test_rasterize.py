@@ -303,6 +303,10 @@ def test_sizes_may_be_numbers_of_numpy() -> None:
         samples = rasterize(Scene.from_nodes([ELLIPSOID]), VIEW, np.int64(8), np.int32(6), np.uint8(2))  # type: ignore[arg-type]
     assert [type(size) for size in (samples.width, samples.height)] == [int, int]
     assert (samples.width, samples.height) == (8, 6)
+    created = SampleBuffer.create(
+        np.zeros((1, 3)), np.ones((1, 3)), (0, 0, 1), pixel=[0], width=np.int64(2), height=np.int32(2)
+    )
+    assert type(created.width) is int and type(created.height) is int
 
 
 # --- against an independent program (tests/data/view3dscene) ----------------------------------------------------------

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from ..formats.quantize import quantize
 from ..formats.safe_write import written_whole
 from ..image import encode
 from ..image.encode import Transfer
@@ -137,7 +138,7 @@ def _figures(figures: Sequence[tuple[str, Any]]) -> str:
 
 
 def _png(image: Any) -> str:
-    levels = np.rint(np.clip(np.asarray(image), 0, 1) * 255).astype(np.uint8)
+    levels = quantize(image)
     data = io.BytesIO()
     Image.fromarray(levels).save(data, "PNG")
     kind = ' class="small"' if levels.shape[1] < SMALL else ""

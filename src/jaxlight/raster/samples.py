@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..scene.fields import whole
+
 MAX_TILE = 1024
 MIN_TILE = 64
 MAX_GROUP = 8
@@ -117,6 +119,8 @@ class SampleBuffer(eqx.Module):
         if texel_index is not None:
             texel_index = _indices("texel_index", texel_index, (count, 4))
             texel_weight = _rows("texel_weight", texel_weight, (4,), count)
+        width = None if width is None else whole("SampleBuffer: width", width, at_least=1)
+        height = None if height is None else whole("SampleBuffer: height", height, at_least=1)
         if pixel is not None:
             if width is None or height is None:
                 raise ValueError("SampleBuffer: pixel needs width and height")
