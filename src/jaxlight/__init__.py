@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .fit import View as View
     from .fit import check_gradients as check_gradients
     from .fit import fit as fit
+    from .fit import fitted_values as fitted_values
     from .fit import write_report as write_report
     from .formats import SceneFileError as SceneFileError
     from .formats import SceneFileWarning as SceneFileWarning
@@ -62,7 +63,7 @@ _STAGES = {
     "raster": ["Camera", "Orthographic", "SampleBuffer", "rasterize", "samples_from_maps"],
     "lighting": ["LightingOptions", "compiler_options", "shade"],
     "image": ["compare", "decode", "encode", "render"],
-    "fit": ["Fit", "Free", "View", "check_gradients", "fit", "write_report"],
+    "fit": ["Fit", "Free", "View", "check_gradients", "fit", "fitted_values", "write_report"],
 }
 _STAGE_OF = {name: stage for stage, names in _STAGES.items() for name in names}
 

@@ -6,6 +6,7 @@ from .fitting import fit as fit
 from .free import Free as Free
 from .gradients import GradientCheck as GradientCheck
 from .gradients import check_gradients as check_gradients
+from .implicit import fitted_values as fitted_values
 from .pictures import view_pictures as view_pictures
 from .report import write_report as write_report
 from .steps import Step as Step

@@ -1,0 +1,70 @@
+"""A fit as a differentiable function: how its answer moves when pictures, weights or fixed fields move.
+
+By the implicit function theorem on the conditions of a bounded minimum, x = clip(x - slope(x)): forward and reverse
+mode, no derivative through the steps. A number that a bound holds does not move; a direction that the pictures do not
+tell stays where it is. Nothing is left out of the equation: what makes no difference where it is may move the answer.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..lighting import make_plan
+from . import normal
+from .problem import Problem, scene_of_view
+from .run import make_solver, solve
+from .solver import BoundedLevenbergMarquardt
+from .views import ViewData
+
+
+def fitted_values(
+    problem: Problem, solver: BoundedLevenbergMarquardt | None = None, max_steps: int = 100
+) -> Float[Array, " parameters"]:
+    """The fitted numbers as a function that is differentiated by every float of a problem.
+
+    Args:
+        problem: what a `Fit` was made from (`Fit.problem`), or that with other numbers in place of its own
+            (`equinox.tree_at`): fields of `world.scene` that are not free, `target` and `root_weight` of `views`.
+        solver: default: that of `fit` with its default tolerances.
+        max_steps: evaluations at most; a fit that ends there gives derivatives of no meaning.
+
+    Returns:
+        The numbers of `Fit.values`, in the order of `Fit.labels`.
+
+    Raises:
+        ValueError: whole textures are among the free fields.
+    """
+    if problem.parameters.blocks:
+        raise ValueError("fitted_values: derivatives of fits of whole textures are not supported")
+    problem = _with_every_term(problem)
+    solver = make_solver(problem) if solver is None else solver
+    parameters = problem.parameters
+    found = jax.lax.stop_gradient(solve(jax.lax.stop_gradient(problem), solver, parameters.start, max_steps))
+    # Column lengths of the Jacobian: the units in which the conditions are well scaled.
+    lengths = jnp.sqrt(jnp.maximum(found.state.curvature.diagonal(), 0))
+    scale = jnp.where(lengths > 0, lengths, 1)
+
+    def conditions(values: Array) -> Array:
+        slope = jax.grad(lambda v: normal.loss(problem, v))(values)
+        return scale * (values - jnp.clip(values - slope / scale**2, parameters.lower, parameters.upper))
+
+    return jax.lax.custom_root(conditions, parameters.start, lambda _, start: found.value, _solve_linear)
+
+
+def _with_every_term(problem: Problem) -> Problem:
+    def planned(stack: ViewData) -> ViewData:
+        view = jax.tree.map(lambda leaf: leaf[0], stack)
+        scene = scene_of_view(problem.world, view)
+        return dataclasses.replace(stack, plan=make_plan(scene, options=stack.plan.options, free=True))
+
+    return dataclasses.replace(problem, views=tuple(planned(stack) for stack in problem.views))
+
+
+def _solve_linear(function: object, right: Array) -> Array:
+    """The shortest solution of function(x) = right, for a linear function of few numbers."""
+    matrix = jax.vmap(function, out_axes=1)(jnp.eye(right.shape[0], dtype=right.dtype))  # type: ignore[arg-type]
+    return jnp.linalg.pinv(matrix, rtol=1e3 * float(jnp.finfo(right.dtype).eps)) @ right
