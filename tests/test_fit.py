@@ -331,7 +331,7 @@ WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "mask of NaN": ({"mask": np.full((48, 48), np.nan)}, {}, "View[0].mask: 2304 of its 2304 numbers are NaN"),
     "mask of words": ({"mask": "mask.png"}, {}, "View[0].mask: expected numbers or truth values, got 'mask.png'"),
     "alpha": ({"target": np.ones((48, 48, 4))}, {}, "got [48, 48, 4]; the last channel, alpha, can go into the mask: target[..., :-1], mask=target[..., -1]"),
-    "8-bit target": ({"target": np.ones((48, 48, 3), np.uint8)}, {}, "View[0].target: got uint8; divide by 255 (dequantize) or use read_image"),
+    "8-bit target": ({"target": np.ones((48, 48, 3), np.uint8)}, {}, "View[0].target: got uint8; divide by 255 or use read_image"),
     "16-bit background": ({"background": np.ones((48, 48, 3), np.uint16)}, {}, "View[0].background: got uint16; divide by 65535"),
     "empty mask": ({"mask": np.zeros((48, 48))}, {}, "View[0]: mask, weight and coverage leave no point to fit"),
     "weight": ({"weight": -np.ones((48, 48))}, {}, "View[0].weight: every weight must be finite and >= 0"),

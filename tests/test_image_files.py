@@ -159,7 +159,7 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
             "a.png",
             np.full((2, 2), 128, np.uint8),
             {},
-            r"a\.png: got uint8; divide by 255 \(dequantize\) or use read_image",
+            r"a\.png: got uint8; divide by 255 or use read_image",
         ),
         ("a.png", np.full((2, 2), 128, np.uint16), {}, r"a\.png: got uint16; divide by 65535"),
         ("a.bmp", np.zeros((2, 2)), {}, "ends in .png"),

@@ -16,4 +16,4 @@ def refuse_levels(where: str, value: Any) -> None:
     """Raise ValueError for an array of levels; taken as numbers they would be up to 255 or 65535."""
     if is_levels(value):
         kind = value.dtype
-        raise ValueError(f"{where}: got {kind}; divide by {np.iinfo(kind).max} (dequantize) or use read_image")
+        raise ValueError(f"{where}: got {kind}; divide by {np.iinfo(kind).max} or use read_image")
