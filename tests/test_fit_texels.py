@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fit_scenes import PRECISIONS, key_light, material, precision
-from jaxlight import Free, SampleBuffer, Scene, View, fit, nodes, shade
+from jaxlight import Free, SampleBuffer, Scene, View, fit, fitted_values, nodes, shade
 from jaxlight.fit import chosen, normal
 from jaxlight.fit.curvature import ArrowCurvature
 from jaxlight.fit.problem import make_problem
@@ -217,3 +217,10 @@ def test_several_samples_a_pixel_are_refused_with_textures() -> None:
         )  # fmt: skip
         with pytest.raises(ValueError, match="whole textures cannot be fitted to views with several samples a pixel"):
             fit(start(dtype), View(samples, np.zeros((SIZE, SIZE, 3))), SKIN)
+
+
+def test_fitted_values_of_textures_are_refused() -> None:
+    view = View(bumpy(0, np.float32), np.full((SIZE**2, 3), 0.5))
+    problem, _ = make_problem(start(np.float32), view, FREE)
+    with pytest.raises(ValueError, match="fits of whole textures are not supported"):
+        fitted_values(problem)
