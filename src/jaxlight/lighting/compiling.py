@@ -12,8 +12,8 @@ from typing import Any, TypeVar, cast
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
-from jax.core import Tracer
+from jax.core import Tracer, eval_context
+from jax.extend.core import get_opaque_trace_state
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -25,6 +25,10 @@ WANTED: Mapping[str, Any] = {
     # It gives sums to a library, whose calls, with JAX 0.12, take up to a hundred times as long as its own loops.
     "xla_cpu_experimental_ynn_fusion_type": "LIBRARY_FUSION_TYPE_DOT",
 }
+
+with eval_context():
+    _OUTSIDE = get_opaque_trace_state()
+    """The state in which nothing is traced."""
 
 
 @functools.cache
@@ -52,9 +56,9 @@ def compiler_options() -> dict[str, Any]:
 
 
 def is_traced(*arguments: Any) -> bool:
-    """Whether arguments are traced, or what calls this is: a jit or loop may know arguments that it is not given."""
+    """Whether arguments are traced, or what calls this is: a jit or loop may know what it is not given."""
     leaves = jax.tree.leaves(arguments)
-    return any(isinstance(leaf, Tracer) for leaf in leaves) or isinstance(jnp.zeros(()), Tracer)
+    return get_opaque_trace_state() != _OUTSIDE or any(isinstance(leaf, Tracer) for leaf in leaves)
 
 
 def _once(make: Callable[[], _Function]) -> Callable[[], _Function]:

@@ -141,7 +141,9 @@ def _runs_alone_on_cpu(scene: Scene, samples: SampleBuffer) -> bool:
     """True outside jit, grad and vmap, on the CPU."""
     if is_traced(scene, samples):
         return False
-    return all(device.platform == "cpu" for device in jnp.asarray(samples.position_planes).devices())
+    planes = samples.position_planes
+    devices = planes.devices() if isinstance(planes, jax.Array) else jax.devices()
+    return all(device.platform == "cpu" for device in devices)
 
 
 def _without_document(scene: Scene) -> Scene:
