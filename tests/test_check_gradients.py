@@ -33,7 +33,7 @@ def everything(dtype: Any) -> tuple[Scene, SampleBuffer]:
     return Scene.from_nodes([shape, lamp, SPOT, SUN, fog], dtype=dtype), samples
 
 
-@pytest.mark.parametrize("bits", PRECISIONS)
+@pytest.mark.parametrize("bits", ["float32", "float64"])
 def test_every_field_of_every_node_passes(bits: str) -> None:
     with precision(bits) as dtype:
         check = check_gradients(*everything(dtype))

@@ -116,8 +116,8 @@ def problem(kind: str, dtype: Any) -> Problem:
 
 
 KINDS = [
-    "plain", "weights and mask", "grey target", "background", "several samples a pixel",
-    "several samples a pixel over a background", "sensor limits", "two views, one light each",
+    "plain", "weights and mask", "grey target", "background", "several samples a pixel over a background",
+    "sensor limits", "two views, one light each",
     "two views of different size", "huber", "cauchy", "prior", "ties",
     "a tie of a colour and an exponent", "many lights", "one of many lights", "some lights of every kind",
     "a light of every kind", "a light alone",
