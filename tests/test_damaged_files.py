@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import random
-import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +12,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from counted_work import at_most_calls
 from jaxlight import SceneFileError, load
 from x3d_text import x3d
 
@@ -158,25 +157,3 @@ def test_files_made_to_hang_or_flood_do_not(tmp_path: Path, name: str) -> None:
             said = str(error)
     assert said or caught
     assert all(len(text) < 5000 for text in [said, *(str(warning.message) for warning in caught)])
-
-
-@contextlib.contextmanager
-def at_most_calls(most: int) -> Iterator[None]:
-    """Raises TooMuchWork where more functions than this are called: work is counted, since clocks differ."""
-    count = 0
-
-    def counted(frame: object, event: str, argument: object) -> None:
-        nonlocal count
-        count += event in ("call", "c_call")
-        if count > most:
-            raise TooMuchWork(f"more than {most} calls")
-
-    sys.setprofile(counted)
-    try:
-        yield
-    finally:
-        sys.setprofile(None)
-
-
-class TooMuchWork(BaseException):
-    """Not an Exception, lest a reader takes it for a damaged file."""

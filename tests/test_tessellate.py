@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 import pytest
 
+from counted_work import at_most_calls
 from jaxlight import nodes
 from jaxlight.raster import Triangles, tessellate
 from jaxlight.raster.polygons import MAX_CONCAVE_CORNERS
@@ -231,15 +231,14 @@ def test_random_simple_polygons_keep_their_area() -> None:
         np.testing.assert_allclose(areas.sum(), (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2, rtol=1e-12)
 
 
-def test_a_spiral_of_thousands_of_corners_is_cut_in_seconds() -> None:
+def test_a_spiral_of_thousands_of_corners_is_cut_with_little_work() -> None:
     """Nearly every corner is no ear, and half of them turn right."""
     angle = np.linspace(0, 20 * math.pi, 1600)
     inner, outer = (np.stack([r * np.cos(angle), r * np.sin(angle), 0 * r], 1) for r in (1 + angle, 2 + angle))
     ring = np.concatenate([outer, inner[::-1]])
     face = nodes.IndexedFaceSet(coord=nodes.Coordinate(point=ring), coord_index=list(range(3200)), convex=False)
-    start = time.perf_counter()
-    areas = area_vectors(triangles_of(face))[:, 2]
-    assert time.perf_counter() - start < 10
+    with at_most_calls(1_000_000):
+        areas = area_vectors(triangles_of(face))[:, 2]
     x, y, _ = ring.T
     assert len(areas) == 3198 and np.all(areas > 0)
     np.testing.assert_allclose(areas.sum(), (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2, rtol=1e-12)
