@@ -27,14 +27,9 @@ def _function(plane: jax.Array, number: jax.Array, product: jax.Array) -> tuple[
     return plane * number + jnp.sin(product), product * product
 
 
-def _staged(
-    index: Any, plane: jax.Array, number: jax.Array, array: jax.Array, of_numbers: bool = False
-) -> tuple[jax.Array, jax.Array]:
+def _staged(index: Any, plane: jax.Array, number: jax.Array, array: jax.Array) -> tuple[jax.Array, jax.Array]:
     product = Inlined(jnp.multiply, (plane, Inlined(_part, (array, index))))
-    return Stage(index >= 0).each(_function, plane, number, product, wide=(1,), of_numbers=of_numbers)
-
-
-FORMS = pytest.mark.parametrize("staged", [_staged, partial(_staged, of_numbers=True)], ids=["planes", "one loop"])
+    return Stage(index >= 0).each(_function, plane, number, product, wide=(1,))
 
 
 def _part(array: jax.Array, index: jax.Array) -> jax.Array:
@@ -66,14 +61,12 @@ def _assert_close(found: Any, expected: Any) -> None:
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-12, atol=1e-12), found, expected)
 
 
-@FORMS
-def test_a_stage_gives_values_and_reverse_derivatives_of_its_function(staged: Any, inputs: Any) -> None:
+def test_a_stage_gives_values_and_reverse_derivatives_of_its_function(inputs: Any) -> None:
     with jax.enable_x64(True):
-        _assert_close(_pulled(staged, inputs), _pulled(_plain, inputs))
+        _assert_close(_pulled(_staged, inputs), _pulled(_plain, inputs))
 
 
-@FORMS
-def test_a_stage_gives_derivatives_of_its_function_in_both_modes_and_both_orders(staged: Any, inputs: Any) -> None:
+def test_a_stage_gives_derivatives_of_its_function_in_both_modes_and_both_orders(inputs: Any) -> None:
     with jax.enable_x64(True):
         changes = jax.tree.map(lambda leaf: jnp.cos(7 * leaf), inputs)
 
@@ -94,11 +87,10 @@ def test_a_stage_gives_derivatives_of_its_function_in_both_modes_and_both_orders
             orders = (along(planes), along(along(planes)), along(pulled), jax.grad(dotted, argnums=(0, 1, 2)))
             return [jax.jit(order)(*inputs) for order in orders]
 
-        _assert_close(slopes(staged), slopes(_plain))
+        _assert_close(slopes(_staged), slopes(_plain))
 
 
-@FORMS
-def test_derivatives_of_a_stage_are_mapped(staged: Any, inputs: Any) -> None:
+def test_derivatives_of_a_stage_are_mapped(inputs: Any) -> None:
     """Over operands, and over the index that its boundary hangs on; mapped and then differentiated too."""
     with jax.enable_x64(True):
         planes, indices = jnp.stack([inputs[0], 2 * inputs[0]]), jnp.asarray([1, 0])
@@ -114,11 +106,11 @@ def test_derivatives_of_a_stage_are_mapped(staged: Any, inputs: Any) -> None:
             return jnp.sum(many**2)
 
         _assert_close(
-            *(jax.grad(partial(total_of_all, f), argnums=(0, 1))(planes, inputs[1]) for f in (staged, _plain))
+            *(jax.grad(partial(total_of_all, f), argnums=(0, 1))(planes, inputs[1]) for f in (_staged, _plain))
         )
         for axes in ((0, 0), (None, 0), (0, None)):
             arguments = (indices if axes[0] == 0 else indices[0], planes if axes[1] == 0 else planes[0])
-            found, expected = (jax.vmap(partial(slope, f), in_axes=axes)(*arguments) for f in (staged, _plain))
+            found, expected = (jax.vmap(partial(slope, f), in_axes=axes)(*arguments) for f in (_staged, _plain))
             _assert_close(found, expected)
 
 
@@ -132,7 +124,7 @@ def test_the_derivative_of_a_stage_copies_no_plane(inputs: Any) -> None:
     with jax.enable_x64(True):
         program = jax.make_jaxpr(jax.value_and_grad(total, argnums=(1, 2)))(jnp.asarray(1), *inputs)
     branches = [branch for equation in _equations(program.jaxpr) for branch in _branches(equation)]
-    assert len(branches) == 2 * 2 + 1  # two results, and their derivative
+    assert len(branches) == 2 + 1  # the results, and their derivative
     for branch in branches:
         given = [id(variable) for variable in branch.invars]
         assert not [result for result in branch.outvars if id(result) in given]
@@ -151,8 +143,7 @@ def _branches(equation: Any) -> list[Any]:
     return list(jaxprs_in_params(equation.params))
 
 
-@pytest.mark.parametrize("of_numbers", [False, True], ids=["planes", "one loop"])
-def test_of_two_forms_that_is_evaluated_and_differentiated_that_is_asked_for(inputs: Any, of_numbers: bool) -> None:
+def test_of_two_forms_that_is_evaluated_and_differentiated_that_is_asked_for(inputs: Any) -> None:
     """The forms have values and slopes of their own, to show which was taken; what is shared has two forms as well."""
 
     def shared(result: jax.Array, plane: jax.Array, number: jax.Array, *, ordinary: bool) -> jax.Array:
@@ -164,7 +155,7 @@ def test_of_two_forms_that_is_evaluated_and_differentiated_that_is_asked_for(inp
 
     def staged(ordinary: jax.Array, plane: jax.Array, number: jax.Array) -> jax.Array:
         stage = Stage(number[0, 0] > 0, ordinary)
-        return stage.each(function, plane, number, shared=shared, has_forms=True, of_numbers=of_numbers)
+        return stage.each(function, plane, number, shared=shared, has_forms=True)
 
     with jax.enable_x64(True):
         plane, number, _ = inputs

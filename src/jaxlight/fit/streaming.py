@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from ..lighting.at_once import at_once
 from ..lighting.one_tile import Color, Run, tile_color, tile_of
 from ..lighting.plan import Plan
 from ..lighting.prepared import Prepared, prepare
@@ -88,10 +89,11 @@ def over_views(problem: Problem, of_view: Callable[[ViewData, Adder, Carry], Car
 
 
 def add_terms(carry: Carry, terms: tuple[Array, ...]) -> Carry:
-    """The running sums and their rounding errors with the terms added."""
+    """The running sums and their rounding errors with the terms added; small loops, as few of them as possible."""
     sums, errors = carry
-    pairs = [_two_sum(a, b) for a, b in zip(sums, terms, strict=True)]
-    return tuple(pair[0] for pair in pairs), tuple(e + pair[1] for e, pair in zip(errors, pairs, strict=True))
+    totals, lost = zip(*map(_two_sum, sums, terms), strict=True)
+    both = at_once([*totals, *(error + own for error, own in zip(errors, lost, strict=True))])
+    return tuple(both[: len(sums)]), tuple(both[len(sums) :])
 
 
 def added_up(carry: Carry) -> tuple[Array, ...]:

@@ -84,9 +84,7 @@ class SampleLoops(Stage):
         count = sum(math.prod(leaf.shape) for leaf in leaves)
 
         def never() -> Array:
-            # With JAX 0.12 XLA makes one function of a loop over tiles that holds no sort; this loop is slower there.
-            value = lax.sort(jnp.stack([self.always, ~self.always]))[0]
-            return jnp.full((rows, self.lanes, count), value, leaves[0].dtype)
+            return jnp.full((rows, self.lanes, count), self.unreached(), leaves[0].dtype)
 
         def loop(ordinary: bool) -> Array:
             jaxpr = jax.make_jaxpr(lambda given: jax.tree.leaves(of_sample(ordinary, given)))(single)

@@ -1,4 +1,4 @@
-"""Stages with several results, each a loop of its own, and the derivatives of all of them.
+"""Stages with several results and the derivatives of all of them.
 
 Only what a stage is given and gives is ever stored: derivatives compute anew what they need.
 """
@@ -15,8 +15,6 @@ from jaxtyping import Array
 
 from .changes import merged, moving_leaves
 from .linear_stage import linear_stage
-from .loop_gradient import gradient_in_one_loop
-from .one_loop import MOST_RESULTS
 from .unstored import is_unstored, stored
 
 Forms = Sequence[Callable[..., Any]]
@@ -33,7 +31,7 @@ class Boundary(Protocol):
 
     def __call__(self, function: Callable[..., Any], *operands: Any, name: str = "") -> Any: ...
 
-    def leaf_by_leaf(self, forms: Forms, *operands: Any) -> Any: ...
+    def of_forms(self, forms: Forms, *operands: Any) -> Any: ...
 
 
 class How(NamedTuple):
@@ -43,7 +41,7 @@ class How(NamedTuple):
     wide: tuple[int, ...]
     shared: Callable[..., Any] | None
     has_forms: bool
-    of_numbers: bool
+    forward: bool
 
     @property
     def forms(self) -> Forms:
@@ -66,70 +64,18 @@ class How(NamedTuple):
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def each(how: How, stage: Boundary, operands: tuple[Any, ...], derived: tuple[Any, ...]) -> Any:
     """`Stage.each`."""
-    return stage.leaf_by_leaf(how.forms, *operands, *derived)
+    return stage.of_forms(how.forms, *operands, *derived)
 
 
 def _each_jvp(how: How, primals: Any, tangents: Any) -> Any:
     (stage, operands, derived), (_, changes, _) = primals, tangents
     changes, moving = moving_leaves(changes)
     results = each(how, stage, operands, derived)
-    fields = _fields(operands, moving) if how.of_numbers else {}
-    rest = [number for number in moving if number not in fields]
-    found = jax.tree.map(jnp.zeros_like, results) if not moving else None
+    if not moving:
+        return results, jax.tree.map(jnp.zeros_like, results)
     with jax.named_scope(f"stage.{name_of(how.function)}.change"):
-        if rest:
-            found = _change(how, stage, operands, derived, results, changes, rest)
-        if fields:
-            directions = [changes[number] for number in fields]
-            own = _change_by_fields(how, stage, operands, derived, results, directions, list(fields.values()))
-            found = own if found is None else jax.tree.map(jnp.add, found, own)
+        found = _change(how, stage, operands, derived, results, changes, moving)
     return results, found
-
-
-def _fields(operands: Any, moving: list[int]) -> dict[int, int]:
-    """Of the moving leaves those that are the same in all rows, and which planes they are."""
-    found, number = {}, 0
-    for place, plane in enumerate(jax.tree.leaves(operands, is_leaf=is_unstored)):
-        leaves = jax.tree.leaves(plane)
-        if number in moving and not is_unstored(plane) and plane.shape[-2] == 1:
-            found[number] = place
-        number += len(leaves)
-    return found if len(found) <= MOST_RESULTS else {}
-
-
-def _change_by_fields(
-    how: How, stage: Boundary, operands: Any, derived: Any, results: Any, directions: list[Array], places: list[int]
-) -> Any:
-    """The change of the results by the planes in these places, the same in all rows."""
-
-    def of_planes(form: int, moved: Any, operands: Any, derived: Any, results: Any) -> Any:
-        function, shared = how.forms[form], how.shared_forms
-        if shared is None:
-            return function(*moved, *derived)
-        return function(*moved, *derived, shared[form](results, *operands, *derived))
-
-    def change(form: int, known: tuple[Boundary, Any], directions: list[Array]) -> Any:
-        operands, derived, results = stored(known[1])
-        planes, tree = jax.tree.flatten(operands)
-
-        def of_moving(*values: Array) -> Any:
-            return of_planes(form, tree.unflatten(merged(planes, places, values)), operands, derived, results)
-
-        return jax.jvp(of_moving, [planes[place] for place in places], directions)[1]
-
-    def gradient(form: int, known: tuple[Boundary, Any], cotangents: Any) -> list[Array]:
-        stage, given = known
-        planes, tree = jax.tree.flatten(stored(given))
-
-        def of_numbers(*numbers: Array) -> Any:
-            given = tree.unflatten(numbers)
-            return of_planes(form, given[0], *jax.lax.stop_gradient(given))
-
-        return gradient_in_one_loop(stage, of_numbers, planes, places, cotangents)
-
-    known, forms = (stage, (operands, derived, results)), range(len(how.forms))
-    changes, gradients = ([partial(function, form) for form in forms] for function in (change, gradient))
-    return linear_stage(how.which(stage), changes, known, directions, gradients=gradients)
 
 
 def _change(
@@ -137,8 +83,10 @@ def _change(
 ) -> Any:
     """The change of the results by the moving leaves of the operands."""
     leaves, tree = jax.tree.flatten(operands)
-    if how.shared_forms is not None:
-        derived = (*derived, stage.leaf_by_leaf(how.shared_forms, results, *operands, *derived))
+    inside = how.shared_forms
+    if how.forward and inside is not None:
+        # Many directions share it.
+        derived, inside = (*derived, stage.of_forms(inside, results, *operands, *derived)), None
     shape = jnp.broadcast_shapes(*(result.shape for result in jax.tree.leaves(results)))
     is_wide = [
         position in how.wide and not is_unstored(plane)
@@ -152,16 +100,18 @@ def _change(
 
     directions = [widened(number, changes[number]) for number in moving]
 
-    def change(form: Callable[..., Any], known: tuple[list[Array], Any], directions: list[Array]) -> Any:
-        leaves, derived = known
+    def change(form: int, known: tuple[list[Array], Any, Any], directions: list[Array]) -> Any:
+        leaves, derived, results = known
+        given = stored(tree.unflatten(leaves))
+        shared = () if inside is None else (inside[form](results, *given, *derived),)
 
         def of_moving(*values: Array) -> Any:
-            return form(*stored(tree.unflatten(merged(leaves, moving, values))), *derived)
+            return how.forms[form](*stored(tree.unflatten(merged(leaves, moving, values))), *derived, *shared)
 
         return jax.jvp(of_moving, [widened(number, leaves[number]) for number in moving], directions)[1]
 
-    changes_of = [partial(change, form) for form in how.forms]
-    return linear_stage(how.which(stage), changes_of, (leaves, derived), directions)
+    changes_of = [partial(change, form) for form in range(len(how.forms))]
+    return linear_stage(how.which(stage), changes_of, (leaves, derived, results if inside else None), directions)
 
 
 each.defjvp(_each_jvp, symbolic_zeros=True)

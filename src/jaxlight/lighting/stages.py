@@ -10,6 +10,7 @@ Profiles know a stage by the name of its function (`jax.named_scope`).
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -18,6 +19,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
+from .at_once import at_once
 from .running_sum import running_sum
 from .stage_derivatives import Forms, How, each, name_of
 from .unstored import stored
@@ -46,6 +48,14 @@ class Stage(eqx.Module):
         """Which of two forms is evaluated: 1, that for ordinary tiles, or 2, the one with care."""
         return jnp.where(self.ordinary, 1, 2) * self.always
 
+    def unreached(self) -> Bool[Array, ""]:
+        """A value for branches that are never taken.
+
+        It is sorted: with JAX 0.12 XLA makes one function of a loop over tiles that holds no sort, in which it reads
+        every number as if it could have changed, and many loops are slower.
+        """
+        return lax.sort(jnp.stack([self.always, ~self.always]))[0]
+
     def most_lights(self, samples: int) -> int:
         """How many lights are evaluated at once for so many samples."""
         return max(1, PLANE // samples)
@@ -72,22 +82,21 @@ class Stage(eqx.Module):
         """function(self, *operands), whose stages may be put into one: here they are not."""
         return function(self, *operands)
 
-    def leaf_by_leaf(self, forms: Forms, *operands: Any) -> Any:
-        """The form of the function that is asked for, of the operands, each result a stage of its own."""
-        name = name_of(forms[-1])
-        shapes, tree = jax.tree_util.tree_flatten_with_path(_shapes_of(forms[-1], operands))
+    def of_forms(self, forms: Forms, *operands: Any) -> Any:
+        """The form of the function that is asked for, of the operands, a stage whose results are computed at once."""
 
-        def result(number: int) -> Array:
-            path, shape = shapes[number]
-            own = [lambda *given, form=form: jax.tree.leaves(form(*given))[number] for form in forms]
-            return self._bounded(own, operands, shape, name + jax.tree_util.keystr(path))
+        def results(form: Callable[..., Any], *given: Any) -> Any:
+            leaves, tree = jax.tree.flatten(form(*given))
+            return tree.unflatten(at_once(leaves))
 
-        return tree.unflatten([result(number) for number in range(len(shapes))])
+        own = [partial(results, form) for form in forms]
+        return self._bounded(own, operands, _shapes_of(forms[-1], operands), name_of(forms[-1]))
 
     def _bounded(self, forms: Forms, operands: tuple[Any, ...], shapes: Any, name: str) -> Any:
         def never() -> Any:
             # Zeros, made of `always`: XLA takes two equal stages for one only if both branches are given something.
-            return jax.tree.map(lambda shape: jnp.full(shape.shape, self.always, shape.dtype), shapes)
+            value = self.unreached()
+            return jax.tree.map(lambda shape: jnp.full(shape.shape, value, shape.dtype), shapes)
 
         which = self.always.astype(jnp.int32) if len(forms) == 1 else self.which
         with jax.named_scope(f"stage.{name}"):
@@ -101,9 +110,8 @@ class Stage(eqx.Module):
         wide: tuple[int, ...] = (),
         shared: Callable[..., Any] | None = None,
         has_forms: bool = False,
-        of_numbers: bool = False,
     ) -> Any:
-        """function(*operands, *derived), each result a stage of its own; all their derivatives are one more stage.
+        """function(*operands, *derived), a stage whose results are computed at once; their derivatives are one more.
 
         Derivatives are computed anew from the operands: only operands and results are ever stored.
 
@@ -111,16 +119,13 @@ class Stage(eqx.Module):
             function: closes over no traced value.
             operands: pytrees of planes, some of them `Inlined`.
             derived: what follows from the operands, and whose change `function` already counts with theirs.
-            wide: positions of smaller operands whose derivatives are summed over samples in stages of their own. XLA
-                vectorises a sum only if what it adds up is a short expression.
-            shared: shared(results, *operands, *derived) gives planes that derivatives by several operands share, each
-                a stage of its own; XLA would compute them once for every operand. For derivatives `function` is given
+            wide: positions of smaller operands whose derivatives are planes too, which are summed over samples
+                afterwards. XLA vectorises a sum only if what it adds up is a short expression.
+            shared: shared(results, *operands, *derived) gives planes for derivatives, to which `function` is given
                 them as one more of `derived`.
             has_forms: function and what is shared take a keyword `ordinary`: there are two forms of them.
-            of_numbers: function is one of numbers, element by element of planes. Gradients by what all rows have in
-                common are then one loop.
         """
-        how = How(function, () if self.forward else wide, shared, has_forms, of_numbers and not self.forward)
+        how = How(function, () if self.forward else wide, shared, has_forms, self.forward)
         return each(how, self, operands, derived)
 
 

@@ -123,7 +123,7 @@ def received(
     """
     aspect = _aspect(stage, lights, tile, highlight)
     reaching = _reaching(stage, lights, tile, aspect)
-    ambient = None if lights.ambient is None else (lights.ambient, material.ambient_intensity)
+    ambient = None if lights.ambient is None else stage.each(_ambient, lights.ambient, material.ambient_intensity)
     exponent = power = None
     if highlight is not None and aspect.alignment is not None:
         # A plane for every light: derivatives are then added up light by light, and only those sums over lights.
@@ -137,10 +137,16 @@ def received(
         ambient,
         exponent,
         derived=(power,),
-        wide=(4,),
+        wide=(2, 3, 4),
     )
     specular_light = None if for_specular is None else _sum_of_colors(lights.color, for_specular)
     return Received(_sum_of_colors(lights.color, for_diffuse), specular_light)
+
+
+def _ambient(
+    light: Float[Array, "lights 1 lanes"], material: Float[Array, "1 lanes"]
+) -> Float[Array, "lights 1 lanes"]:
+    return light * material
 
 
 def _exponents(lights: int, shininess: Float[Array, "1 lanes"]) -> Float[Array, "lights 1 lanes"]:
@@ -153,7 +159,7 @@ def _weights(
     reaching: Array | None,
     seen: tuple[Array, Array | None],
     intensity: Array,
-    ambient: tuple[Array, Array] | None,
+    ambient: Array | None,
     exponent: Array | None,
     power: Array | None,
 ) -> tuple[Array, Array | None]:
@@ -163,7 +169,7 @@ def _weights(
     """
     facing, alignment = seen
     diffuse = intensity * factors.positive_part(facing)
-    diffuse = _times(reaching, diffuse if ambient is None else diffuse + ambient[0] * ambient[1])
+    diffuse = _times(reaching, diffuse if ambient is None else diffuse + ambient)
     if highlight is None or power is None or exponent is None or alignment is None:
         return diffuse, None
     specular = _times(reaching, intensity * highlight.known_power(power, alignment, exponent))
@@ -203,7 +209,6 @@ def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, highlight: Highli
         wide=(0, 1, 2, 3, 4, 5),
         shared=None if highlight is None else partial(_slopes, highlight),
         has_forms=True,
-        of_numbers=True,
     )
 
 
