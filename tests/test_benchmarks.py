@@ -203,7 +203,7 @@ def test_fits_start_away_from_the_truth_and_are_judged_by_it() -> None:
     [
         (1, "forward", ["rgb"]),
         (9, "forward", ["directions", "received|no stage: while", "mixed"]),
-        (1, "value_and_gradient", ["seen.alignment", "power", "colored", "seen.change (reverse)"]),
+        (1, "value_and_gradient", ["seen", "power", "colored", "seen.change (reverse)"]),
     ],
 )
 def test_a_profile_tells_loops_and_stages_apart(lights: int, operation: Operation, names: list[str]) -> None:

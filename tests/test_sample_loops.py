@@ -193,6 +193,9 @@ def test_lights_that_reach_most_tiles_are_not_looked_for(radius: float, culled: 
     scene = scene_under([nodes.DirectionalLight(), *lamps])
     plan = make_plan(scene, samples)
     assert plan.point is not None and plan.point.radius and plan.point.culled == culled
+    # Free lights stay in the plan as they are, and are looked for as long as that seems quicker.
+    free = make_plan(scene, samples, free=True).point
+    assert free is not None and free.culled == culled
     other = plan._replace(point=plan.point._replace(culled=not culled))
     np.testing.assert_allclose(
         shade(scene, samples, plan=plan), shade(scene, samples, plan=other), rtol=2e-6, atol=1e-6

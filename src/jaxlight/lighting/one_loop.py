@@ -22,15 +22,13 @@ from jax.extend.mlir.dialects import stablehlo
 from jax.interpreters import batching, mlir
 from jaxtyping import Array
 
-MOST_RESULTS = 8
-"""So many results of a loop LLVM writes at once."""
-
 
 def in_one_loop(function: Callable[..., Sequence[Array]], planes: Sequence[Array], shape: tuple[int, ...]) -> Array:
     """function(*planes), element by element; its results side by side, [*shape, results]. Not to be differentiated.
 
     Args:
-        function: of numbers; gives at most MOST_RESULTS numbers, all of one type. Closes over no traced value.
+        function: of numbers; gives at most 8 numbers (LLVM writes no more at once), all of one type. Closes over no
+            traced value.
         planes: of as many axes as `shape`, to which they are broadcast.
     """
     numbers = [jax.ShapeDtypeStruct((), plane.dtype) for plane in planes]

@@ -6,6 +6,7 @@ values (inside jit, grad, vmap) and the fields a caller declares free are never 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -18,7 +19,7 @@ from ..scene.scene import FrameKind
 from .options import LightingOptions
 
 MOSTLY = 0.5
-"""Lights that reach a larger share of the tiles are not looked for tile by tile."""
+"""Lights that reach a larger share of the tiles, as their numbers are now, are not looked for tile by tile."""
 
 TILES_ASKED = 64
 
@@ -105,9 +106,11 @@ class _Known:
         self._free = {id(leaf) for leaf in free}
 
     def __call__(self, leaf: Any) -> np.ndarray | None:
-        if isinstance(leaf, Tracer) or id(leaf) in self._free:
-            return None
-        return np.asarray(leaf)
+        return None if id(leaf) in self._free else self.at_present(leaf)
+
+    def at_present(self, leaf: Any) -> np.ndarray | None:
+        """The values of a leaf that may be free: only for what changes neither values nor derivatives."""
+        return None if isinstance(leaf, Tracer) else np.asarray(leaf)
 
     def all_zero(self, leaf: Any) -> bool:
         value = self(leaf)
@@ -190,6 +193,8 @@ def _light_plan(
     if not keep.any():
         return None
     reaches_all = reach is not None and bool(np.all(reach.all[keep]))
+    if reach is None and not directional:
+        reach = _reach(lights, known.at_present, frame, bounds)
     mostly = not isinstance(lights, SpotLights) and reach is not None and bool(np.mean(reach.share[keep]) > MOSTLY)
     attenuation = None if directional else _attenuation(lights, known, options, keep)
     return LightPlan(
@@ -237,7 +242,10 @@ class _Reach(NamedTuple):
 
 
 def _reach(
-    lights: PointLights | SpotLights, known: _Known, frame: FrameKind, bounds: tuple[np.ndarray, np.ndarray] | None
+    lights: PointLights | SpotLights,
+    known: Callable[[Any], np.ndarray | None],
+    frame: FrameKind,
+    bounds: tuple[np.ndarray, np.ndarray] | None,
 ) -> _Reach | None:
     """None if it is not known."""
     place, radius, to_world = known(lights.location), known(lights.radius), known(lights.to_world)

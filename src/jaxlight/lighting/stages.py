@@ -24,8 +24,11 @@ from .running_sum import running_sum
 from .stage_derivatives import Forms, How, each, name_of
 from .unstored import stored
 
-PLANE = 8192
-"""Lights times samples that are evaluated at once: what a tile's planes may hold to stay in the cache."""
+PLANE = 16384
+"""Lights times samples that are best evaluated at once: planes so large stay in the cache."""
+
+LARGEST_PLANE = 2 * PLANE
+"""More than that are never evaluated at once."""
 
 
 class Stage(eqx.Module):
@@ -58,7 +61,7 @@ class Stage(eqx.Module):
 
     def most_lights(self, samples: int) -> int:
         """How many lights are evaluated at once for so many samples."""
-        return max(1, PLANE // samples)
+        return max(1, LARGEST_PLANE // samples)
 
     def sum(self, term: Callable[[Any, Array], Any], total: Any, count: Int[Array, ""]) -> Any:
         """The sum of `total` (None: 0) and `count` terms: term(so far, number), or so far and term(None, number)."""

@@ -18,9 +18,9 @@ from ..scene import Scene, Surface
 from .one_tile import Color, Run, tile_color
 from .plan import Plan
 from .prepared import Prepared, on_one_lane
-from .stages import PLANE
+from .stages import LARGEST_PLANE, PLANE
 
-SMALLEST_TILE = 256
+SMALLEST_TILE = 512
 """Samples of a tile that is split because there are many lights."""
 
 
@@ -60,9 +60,9 @@ def in_fitting_tiles(scene: Scene, samples: SampleBuffer, plan: Plan) -> SampleB
     lights, parts = _most_lights(scene, plan), 1
     if lights is None:
         return samples
-    while samples.tile // parts * lights > PLANE:
+    while samples.tile // parts * lights > PLANE and samples.tile // parts > SMALLEST_TILE:
         parts *= 2
-    return samples.with_split_tiles(parts) if samples.tile // parts >= SMALLEST_TILE else samples
+    return samples.with_split_tiles(parts) if samples.tile // parts * lights <= LARGEST_PLANE else samples
 
 
 def _most_lights(scene: Scene, plan: Plan) -> int | None:

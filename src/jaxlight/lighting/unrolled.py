@@ -100,7 +100,6 @@ def _slice(operands: list[Elements], shape: tuple[int, ...], params: dict[str, A
 _MOVES: dict[str, Callable[[list[Elements], tuple[int, ...], dict[str, Any]], Elements]] = {
     "broadcast_in_dim": _broadcast,
     "reshape": lambda operands, shape, params: operands[0].reshape(shape),
-    "stop_gradient": lambda operands, shape, params: operands[0],
     "squeeze": lambda operands, shape, params: operands[0].reshape(shape),
     "expand_dims": lambda operands, shape, params: operands[0].reshape(shape),
     "transpose": lambda operands, shape, params: operands[0].transpose(params["permutation"]),
