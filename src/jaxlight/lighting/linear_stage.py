@@ -31,7 +31,8 @@ def linear_stage(
 
     Args:
         which: at least 1, but only the running program knows. Mapped over, the largest counts for all.
-        functions: close over no traced value; all give the same shapes.
+        functions: close over no traced value; all give the same shapes. The cotangents of the first are computed at
+            once.
         known, moving: pytrees of arrays.
     """
     known_leaves, known_tree = jax.tree.flatten(known)
@@ -73,16 +74,20 @@ def _transpose(cotangents: Sequence[Any], which: Array, *operands: Any, jaxprs: 
     felt = [number for number, cotangent in enumerate(cotangents) if type(cotangent) is not ad.Zero]
     shapes = [jax.ShapeDtypeStruct(operands[n].aval.shape, operands[n].aval.dtype) for n in linear]
 
-    def pulled(jaxpr: ClosedJaxpr, here: tuple[Array, ...], back: list[Array]) -> list[Array]:
+    def pulled(form: int, here: tuple[Array, ...], back: list[Array]) -> list[Array]:
+        jaxpr = jaxprs[form]
+
         def of_linear(*values: Array) -> list[Array]:
             # What else it is linear in does not matter to its transpose.
             given = [*here, *(jnp.zeros(a.shape, a.dtype) for a in jaxpr.in_avals[known:])]
             results = jaxpr_as_fun(jaxpr)(*merged(given, linear, values))
             return [results[number] for number in felt]
 
-        return at_once(jax.linear_transpose(of_linear, *shapes)(back))
+        found = list(jax.linear_transpose(of_linear, *shapes)(back))
+        # The second form has the care: in one loop, numbers that cancel out would be rounded in different ways.
+        return at_once(found) if form == 0 else found
 
-    functions = [partial(pulled, jaxpr) for jaxpr in jaxprs]
+    functions = [partial(pulled, form) for form in range(len(jaxprs))]
     found = linear_stage(which, functions, tuple(operands[:known]), [cotangents[number] for number in felt])
     return [None, *merged([None] * len(operands), linear, found)]
 

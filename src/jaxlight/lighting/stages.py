@@ -2,7 +2,7 @@
 
 Left alone, XLA fuses a tile's whole expression, and the slice that cuts the tile out of the buffer, into loops that it
 evaluates element by element, several times over. It drops `lax.optimization_barrier` before it fuses, but never
-moves work across a conditional whose predicate it cannot know. A stage with one result is one loop.
+moves work across a conditional whose predicate it cannot know. The results of a stage come from one loop (`at_once`).
 
 Profiles know a stage by the name of its function (`jax.named_scope`).
 """
