@@ -84,8 +84,8 @@ def _transpose(cotangents: Sequence[Any], which: Array, *operands: Any, jaxprs: 
             return [results[number] for number in felt]
 
         found = list(jax.linear_transpose(of_linear, *shapes)(back))
-        # The second form has the care: in one loop, numbers that cancel out would be rounded in different ways.
-        return at_once(found) if form == 0 else found
+        alike = [number for number, cotangent in enumerate(found) if cotangent.shape == back[0].shape]
+        return merged(found, alike, at_once([found[number] for number in alike]))
 
     functions = [partial(pulled, form) for form in range(len(jaxprs))]
     found = linear_stage(which, functions, tuple(operands[:known]), [cotangents[number] for number in felt])
