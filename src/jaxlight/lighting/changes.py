@@ -23,8 +23,13 @@ def with_change(function: Callable[..., Any], primals: tuple[Any, ...], tangents
 
 def moving_leaves(tangents: Any) -> tuple[list[Any], list[int]]:
     """The leaves of tangents, and which of them are no symbolic zeros."""
-    changes = jax.tree.leaves(tangents, is_leaf=_is_zero)
-    return changes, [number for number, change in enumerate(changes) if not _is_zero(change)]
+    changes = jax.tree.leaves(tangents, is_leaf=is_zero)
+    return changes, [number for number, change in enumerate(changes) if not is_zero(change)]
+
+
+def moves(tangents: Any) -> bool:
+    """Whether any leaf of the tangents is no symbolic zero."""
+    return bool(moving_leaves(tangents)[1])
 
 
 def merged(values: Sequence[Any], numbers: Sequence[int], others: Sequence[Any]) -> list[Any]:
@@ -35,5 +40,6 @@ def merged(values: Sequence[Any], numbers: Sequence[int], others: Sequence[Any])
     return result
 
 
-def _is_zero(value: Any) -> bool:
+def is_zero(value: Any) -> bool:
+    """Whether it is a symbolic zero."""
     return isinstance(value, SymbolicZero)

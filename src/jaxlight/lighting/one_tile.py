@@ -100,29 +100,31 @@ def tile_color(
     count: int = 1,
     *,
     single: Prepared | None = None,
+    texel: Float[Array, "components samples"] | None = None,
     forward: bool = False,
 ) -> Color:
     """The equation on one tile, or on `count` tiles of one surface from tile `index` * `count` on.
 
-    `single`: what `on_one_lane` gives, if that is known before all tiles; `forward`: if derivatives are taken, then in
-    forward mode.
+    `single`, `texel`: what `on_one_lane` and `sampled_texture` give, if that is known before all tiles; `forward`: if
+    derivatives are taken, then in forward mode.
     """
     single = on_one_lane(prepared) if single is None else single
-    return _tile_color(How(run, plan, count, forward), prepared, single, samples, index)
+    return _tile_color(How(run, plan, count, forward), prepared, single, samples, texel, index)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _tile_color(how: How, prepared: Prepared, single: Prepared, samples: SampleBuffer, index: Array) -> Color:
+def _tile_color(
+    how: How, prepared: Prepared, single: Prepared, samples: SampleBuffer, texel: Array | None, index: Array
+) -> Color:
     always = _always(how, samples, index)
     lanes = lanes_of(samples) if how.plan.culled else samples.tile * how.count
-    return _color(SampleLoops(always, lanes=lanes), how, single, samples, index, lanes)
+    return _color(SampleLoops(always, lanes=lanes), how, single, samples, texel, index, lanes)
 
 
 def _tile_color_jvp(how: How, primals: Any, tangents: Any) -> tuple[Color, Color]:
-    def in_stages(prepared: Prepared, samples: SampleBuffer, index: Array) -> Color:
-        return _color(
-            Stage(_always(how, samples, index), how.forward), how, prepared, samples, index, lanes_of(samples)
-        )
+    def in_stages(prepared: Prepared, samples: SampleBuffer, texel: Array | None, index: Array) -> Color:
+        stage = Stage(_always(how, samples, index), how.forward)
+        return _color(stage, how, prepared, samples, texel, index, lanes_of(samples))
 
     (prepared, _, *others), (change, _, *other_changes) = primals, tangents
     return with_change(in_stages, (prepared, *others), (change, *other_changes))
@@ -137,7 +139,15 @@ def _always(how: How, samples: SampleBuffer, index: Array) -> Bool[Array, ""]:
     return samples.tile_surface[0] >= 0 if alone else index >= 0
 
 
-def _color(stage: Stage, how: How, prepared: Prepared, samples: SampleBuffer, index: Array, lanes: int) -> Color:
+def _color(
+    stage: Stage,
+    how: How,
+    prepared: Prepared,
+    samples: SampleBuffer,
+    texel: Array | None,
+    index: Array,
+    lanes: int,
+) -> Color:
     surface, plan, count = how.run.surface, how.plan, how.count
     dtype, tile, first = compute_dtype(samples), samples.tile * count, index * count
     rows = tile // lanes
@@ -164,17 +174,14 @@ def _color(stage: Stage, how: How, prepared: Prepared, samples: SampleBuffer, in
 
     row = samples.tile_surface[first] if how.run.single is None else how.run.single
     material = material_row(prepared, surface, row, how.run.single)
-    vertex_color = texel = None
+    vertex_color = None
     if surface.color_components and samples.color_planes is not None:
         # Others in the buffer may have an alpha that these have not.
         vertex_color = unread(samples.color_planes, surface.color_components)
     index_planes, weight_planes = samples.texel_index, samples.texel_weight
-    if (
-        surface.texture >= 0
-        and surface.lighting != "emissive"
-        and index_planes is not None
-        and weight_planes is not None
-    ):
+    if texel is not None:
+        texel = texel.reshape(-1, rows, lanes)
+    elif surface.textured and index_planes is not None and weight_planes is not None:
         weight = cut(weight_planes)
         texel = sampled_texture(prepared.textures[surface.texture], cut(index_planes, jnp.dtype(jnp.int32)), weight)
     lit_material = material is not None and surface.lighting == "lit"

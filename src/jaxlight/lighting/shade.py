@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 from ..raster.samples import SampleBuffer
 from ..scene import Scene
 from ..scene.checks import check_scene
-from .changes import with_change
+from .changes import moves, with_change
 from .compiling import is_traced, jit_on_cpu
 from .cores import in_threads, shares_of
 from .options import LightingOptions
@@ -84,12 +84,16 @@ def _tiles_of(plan: Plan, scene: Scene, samples: SampleBuffer) -> Float[Array, "
 
 def _tiles_of_jvp(plan: Plan, primals: Any, tangents: Any) -> Any:
     """Derivatives keep planes of all lights, and so have tiles of their own."""
+    change, own = tangents
+    planes = (own.position_planes, own.normal_planes, own.color_planes, own.texel_weight)
+    by_images = moves((planes, change.textures))
 
     def in_fitting(scene: Scene, samples: SampleBuffer) -> Array:
         fitting = in_fitting_tiles(scene, samples, plan)
         prepared, count = prepare(scene, fitting, plan), tiles_at_once(scene, fitting, plan)
         runs = [
-            color_and_alpha_of_run(run, prepared, fitting, plan, count) for run in surface_runs(scene.surfaces, fitting)
+            color_and_alpha_of_run(run, prepared, fitting, plan, count, by_images=by_images)
+            for run in surface_runs(scene.surfaces, fitting)
         ]
         # Joined at the very end, so that a loss of colours alone meets no image with alpha in reverse mode either.
         parts = zip(*runs, strict=True)

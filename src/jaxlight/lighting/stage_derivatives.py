@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .changes import merged, moving_leaves
+from .changes import is_zero, merged, moves, with_change
 from .linear_stage import linear_stage
 from .unstored import is_unstored, stored
 
@@ -67,49 +67,49 @@ def each(how: How, stage: Boundary, operands: tuple[Any, ...], derived: tuple[An
 
 def _each_jvp(how: How, primals: Any, tangents: Any) -> Any:
     (stage, operands, derived), (_, changes, _) = primals, tangents
-    changes, moving = moving_leaves(changes)
     results = each(how, stage, operands, derived)
-    if not moving:
+    if not moves(changes):
         return results, jax.tree.map(jnp.zeros_like, results)
     with jax.named_scope(f"stage.{name_of(how.function)}.change"):
-        found = _change(how, stage, operands, derived, results, changes, moving)
+        found = _change(how, stage, operands, derived, results, changes)
     return results, found
 
 
-def _change(
-    how: How, stage: Boundary, operands: Any, derived: Any, results: Any, changes: list[Array], moving: list[int]
-) -> Any:
-    """The change of the results by the moving leaves of the operands."""
-    leaves, tree = jax.tree.flatten(operands)
+def _change(how: How, stage: Boundary, operands: Any, derived: Any, results: Any, changes: Any) -> Any:
+    """The change of the results by those planes of the operands that move."""
     inside = how.shared_forms
     if how.forward and inside is not None:
         # Many directions share it.
         derived, inside = (*derived, stage.of_forms(inside, results, *operands, *derived)), None
     shape = jnp.broadcast_shapes(*(result.shape for result in jax.tree.leaves(results)))
-    is_wide = [
-        position in how.wide and not is_unstored(plane)
-        for position, operand in enumerate(operands)
-        for plane in jax.tree.leaves(operand, is_leaf=is_unstored)
-        for _ in jax.tree.leaves(plane)
-    ]
+    is_wide = [position in how.wide for position, own in enumerate(operands) for _ in jax.tree.leaves(stored(own))]
+    pairs = list(zip(_planes(operands), _planes(changes), strict=True))
+    moving = [number for number, (_, change) in enumerate(pairs) if moves(change)]
 
     def widened(number: int, plane: Array) -> Array:
         return jnp.broadcast_to(plane, shape) if is_wide[number] else plane
 
-    directions = [widened(number, changes[number]) for number in moving]
+    # Of planes that are not stored, too: derivatives by the array that one lies in would compute the stage anew for
+    # every part of that.
+    directions = [widened(n, with_change(stored, pairs[n][:1], pairs[n][1:])[1]) for n in moving]
 
-    def change(form: int, known: tuple[list[Array], Any, Any], directions: list[Array]) -> Any:
-        leaves, derived, results = known
-        given = stored(tree.unflatten(leaves))
-        shared = () if inside is None else (inside[form](results, *given, *derived),)
+    def change(form: int, known: tuple[Any, Any, Any], directions: list[Array]) -> Any:
+        operands, derived, results = known
+        planes, tree = jax.tree.flatten(stored(operands))
+        shared = () if inside is None else (inside[form](results, *tree.unflatten(planes), *derived),)
 
         def of_moving(*values: Array) -> Any:
-            return how.forms[form](*stored(tree.unflatten(merged(leaves, moving, values))), *derived, *shared)
+            return how.forms[form](*tree.unflatten(merged(planes, moving, values)), *derived, *shared)
 
-        return jax.jvp(of_moving, [widened(number, leaves[number]) for number in moving], directions)[1]
+        return jax.jvp(of_moving, [widened(number, planes[number]) for number in moving], directions)[1]
 
     changes_of = [partial(change, form) for form in range(len(how.forms))]
-    return linear_stage(how.which(stage), changes_of, (leaves, derived, results if inside else None), directions)
+    return linear_stage(how.which(stage), changes_of, (operands, derived, results if inside else None), directions)
+
+
+def _planes(operands: Any) -> list[Any]:
+    """Planes, what stands for planes, and symbolic zeros."""
+    return jax.tree.leaves(operands, is_leaf=lambda leaf: is_unstored(leaf) or is_zero(leaf))
 
 
 each.defjvp(_each_jvp, symbolic_zeros=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..scene import Surface
 from .options import LightingOptions
@@ -23,11 +23,11 @@ class MaterialRow(NamedTuple):
 
 
 def sampled_texture(
-    image: Float[Array, "height width components"], index: Array, weight: Array
-) -> Float[Array, "components rows lanes"]:
-    """The texture at each sample: four texels [4, rows, lanes] and their weights."""
+    image: Float[Array, "height width components"], index: Int[Array, "4 ..."], weight: Float[Array, "4 ..."]
+) -> Float[Array, "components ..."]:
+    """The texture at each sample from four texels and their weights."""
     texels = image.reshape(-1, image.shape[2])
-    return jnp.einsum("krw,krwc->crw", weight, texels[index].astype(weight.dtype))
+    return jnp.einsum("k...,k...c->c...", weight, texels[index].astype(weight.dtype))
 
 
 def base_color(

@@ -5,6 +5,7 @@ Derivatives are taken tile by tile too (a tile is computed anew in reverse mode)
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -17,8 +18,9 @@ from ..raster.samples import SampleBuffer
 from ..scene import Scene, Surface
 from .one_tile import Color, Run, tile_color
 from .plan import Plan
-from .prepared import Prepared, on_one_lane
+from .prepared import Prepared, compute_dtype, on_one_lane
 from .stages import LARGEST_PLANE, PLANE
+from .surface import sampled_texture
 
 SMALLEST_TILE = 512
 """Samples of a tile that is split because there are many lights."""
@@ -112,15 +114,19 @@ def colors_of_run(
 
 
 def color_and_alpha_of_run(
-    run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, count: int
+    run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, count: int, *, by_images: bool
 ) -> tuple[Float[Array, "tiles 3 tile"], Float[Array, "tiles 1 tile"]]:
-    """`colors_of_run` with alpha apart, as small as it may be: what is kept for its derivatives is as small then."""
+    """`colors_of_run` with alpha apart, as small as it may be: what is kept for its derivatives is as small then.
+
+    `by_images`: derivatives by samples or textures are asked for.
+    """
 
     def planes_of(color: Color) -> Color:
         # In one row: what has an axis of length 1 would be copied in reverse mode.
         return color._replace(rgb=_by_tile(color.rgb, samples.tile).reshape(-1))
 
-    colors = _of_run(planes_of, run, prepared, samples, plan, count, None)
+    of_run = _of_parts_of_run if by_images else _of_run
+    colors = of_run(planes_of, run, prepared, samples, plan, count)
     alpha = jnp.broadcast_to(colors.opacity, (colors.opacity.shape[0], count * samples.tile))
     return colors.rgb.reshape(-1, 3, samples.tile), alpha.reshape(-1, 1, samples.tile)
 
@@ -129,20 +135,19 @@ def _by_tile(planes: Float[Array, "components samples"], tile: int) -> Float[Arr
     return jnp.swapaxes(planes.reshape(planes.shape[0], -1, tile), 0, 1)
 
 
+_PlanesOf = Callable[[Color], Any]
+
+
 def _of_run(
-    planes_of: Callable[[Color], Any],
+    planes_of: _PlanesOf,
     run: Run,
     prepared: Prepared,
     samples: SampleBuffer,
     plan: Plan,
     count: int,
-    share: Share | None,
+    share: Share | None = None,
 ) -> Any:
-    single = on_one_lane(prepared)
-
-    @jax.checkpoint
-    def body(index: Array, prepared: Prepared, single: Prepared, samples: SampleBuffer) -> Any:
-        return planes_of(tile_color(run, prepared, samples, plan, index, count, single=single))
+    body, single = _body(planes_of, run, plan, count), on_one_lane(prepared)
 
     def step(_: None, index: Array) -> tuple[None, Any]:
         return None, body(index, prepared, single, samples)
@@ -150,3 +155,36 @@ def _of_run(
     steps = (run.stop - run.start) // count
     indices = run.start // count + (jnp.arange(steps) if share is None else share.of(steps))
     return lax.scan(step, None, indices)[1]
+
+
+def _of_parts_of_run(
+    planes_of: _PlanesOf, run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, count: int
+) -> Any:
+    """`_of_run` for derivatives by what is as large as an image: those of a step are as small as its own part of it."""
+    body, single = _body(planes_of, run, plan, count), on_one_lane(prepared)
+
+    def step(_: None, part: tuple[dict[str, Array], Array, Array | None]) -> tuple[None, Any]:
+        planes, ordinary, texel = part
+        own = samples.of_part(planes)
+        first = jnp.minimum(own.tile_surface[0], 0)  # 0, but only the running program knows
+        here, alone = (dataclasses.replace(prepared, ordinary=ordinary) for prepared in (prepared, single))
+        return None, body(first, here, alone, own, texel)
+
+    parts = (samples.parts(count), prepared.ordinary.reshape(-1, count))
+    planes, ordinary = jax.tree.map(lambda part: part[run.start // count : run.stop // count], parts)
+    texel = None
+    if run.surface.textured and "texel_index" in planes:
+        index, weight = (jnp.swapaxes(planes[name], 0, 1) for name in ("texel_index", "texel_weight"))
+        texture = prepared.textures[run.surface.texture]
+        texel = jnp.swapaxes(sampled_texture(texture, index, weight.astype(compute_dtype(samples))), 0, 1)
+    return lax.scan(step, None, (planes, ordinary, texel))[1]
+
+
+def _body(planes_of: _PlanesOf, run: Run, plan: Plan, count: int) -> Callable[..., Any]:
+    @jax.checkpoint
+    def body(
+        index: Array, prepared: Prepared, single: Prepared, samples: SampleBuffer, texel: Array | None = None
+    ) -> Any:
+        return planes_of(tile_color(run, prepared, samples, plan, index, count, single=single, texel=texel))
+
+    return body

@@ -194,6 +194,29 @@ class SampleBuffer(eqx.Module):
             group=self.group * parts,
         )
 
+    def parts(self, count: int) -> dict[str, Array]:
+        """What differs between parts of `count` tiles each, a divisor of `group`, by field: [parts, ...]."""
+
+        def cut(planes: Array) -> Array:
+            """[blocks, components, block] -> [parts, 1, components, part]"""
+            components = planes.shape[1]
+            parts = jnp.swapaxes(planes.reshape(-1, components, self.group // count, count * self.tile), 1, 2)
+            return parts.reshape(-1, 1, components, count * self.tile)
+
+        def cut_row(row: Array) -> Array:
+            """[..., slots] or [..., tiles] -> [parts, ..., part]"""
+            return jnp.moveaxis(row.reshape(*row.shape[:-1], self.tile_surface.shape[0] // count, -1), -2, 0)
+
+        planes = {name: cut for name in ("position_planes", "normal_planes", "color_planes")}
+        rows = {name: cut_row for name in ("texel_index", "texel_weight", "tile_surface", "tile_low", "tile_high")}
+        found = {name: (own, getattr(self, name)) for name, own in (planes | rows).items()}
+        return {name: own(array) for name, (own, array) in found.items() if array is not None}
+
+    def of_part(self, part: dict[str, Array]) -> SampleBuffer:
+        """One of the `parts` as a buffer of one block, whose samples stand for no pixels."""
+        (tiles,) = part["tile_surface"].shape
+        return dataclasses.replace(self, **part, pixel_slots=None, coverage_slots=None, slot=None, runs=(), group=tiles)
+
     @property
     def slots(self) -> int:
         """Places in storage: samples and padding."""

@@ -31,6 +31,11 @@ class Surface(NamedTuple):
     color_components: int = 0
     """Components of the shape's per-vertex or per-face colours: 0 (none), 3 or 4."""
 
+    @property
+    def textured(self) -> bool:
+        """Whether a texture decides on the colour; emissive lines and points have none."""
+        return self.texture >= 0 and self.lighting != "emissive"
+
 
 class Materials(eqx.Module):
     """The scene's Material nodes, one row each (X3D 12.4.4, 17.2.2.4). Colours are RGB; all fields in [0, 1]."""
