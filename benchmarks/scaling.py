@@ -45,6 +45,12 @@ class Sweep:
     normalise: bool
     """True: the unit cost is per sample and light; False: per unit of the axis."""
 
+    @property
+    def name(self) -> str:
+        """Of its metrics."""
+        first = self.cases[0][1]
+        return "/".join([self.axis, first.operation, *(option for option, _ in first.entrant.options)])
+
 
 def _fit_entrant(**options: Any) -> Entrant:
     return dataclasses.replace(_FIT, options=tuple(options.items()))
@@ -58,6 +64,7 @@ def sweeps(quick: bool) -> list[Sweep]:
     views = [1, 2] if quick else [1, 2, 4, 8, 16]
     forward: Operation = "forward"
     gradient: Operation = "value_and_gradient"
+    all_free = dataclasses.replace(JAXLIGHT, options=(("by_samples", True),))
 
     def brute(count: int) -> Workload:
         """So many lights that all reach every sample: fewer samples when there are many, to bound the time."""
@@ -70,6 +77,10 @@ def sweeps(quick: bool) -> list[Sweep]:
         result.append(Sweep("samples", f"{word} against samples (8 lights)", tuple(by_samples), True))
         by_lights = [(float(count), Case(JAXLIGHT, operation, brute(count))) for count in lights]
         result.append(Sweep("lights", f"{word} against lights (all in reach)", tuple(by_lights), True))
+    of_all = [(float(n), Case(all_free, gradient, Workload(n))) for n in samples]
+    result.append(
+        Sweep("samples", "value and gradient, by samples too, against samples (8 lights)", tuple(of_all), True)
+    )
     work = Workload(2**13 if quick else 2**16, _LIGHTS, sample_color=False)
     by_parameters = [
         (float(1 if k < 0 else 11 * (k + 1)), Case(_fit_entrant(free_lights=k), "normal_equations", work))
@@ -159,9 +170,9 @@ def _metrics(measurements: Sequence[Measurement]) -> list[Metric]:
         found = [m for m in measurements if m.case in cases and m.skipped is None]
         if len(found) == len(cases):
             ratio = found[-1].nanoseconds / min(m.nanoseconds for m in found)
-            metrics.append(Metric(f"scaling/{sweep.axis}/{cases[0].operation}/last over best", ratio, "lower", 0.3))
+            metrics.append(Metric(f"scaling/{sweep.name}/last over best", ratio, "lower", 0.3))
             memory = max(m.memory_ratio for m in found if m.case.work.samples >= 10**5)
-            metrics.append(Metric(f"scaling/{sweep.axis}/{cases[0].operation}/memory", memory, "lower"))
+            metrics.append(Metric(f"scaling/{sweep.name}/memory", memory, "lower"))
     return metrics
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -78,6 +79,7 @@ class JaxlightShade(Contender):
         tile: samples a tile; None: the library's choice.
         materials: how many Material nodes, alike, share the samples.
         lighting: fields of LightingOptions, as pairs.
+        by_samples: gradients are by positions, normals and colours of all samples, too.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class JaxlightShade(Contender):
         tile: int | None = None,
         materials: int = 1,
         lighting: Any = (),
+        by_samples: bool = False,
     ) -> None:
         dtype = jnp.dtype(precision)
         # Half-precision samples are shaded with single-precision fields.
@@ -96,7 +99,7 @@ class JaxlightShade(Contender):
         # As `rasterize` stores samples under many small lights.
         self._samples = samples_of(arrays, dtype, tile, materials, by_place=work.cover > 0)
         self._options = LightingOptions(**dict(lighting))
-        self._skip = skip
+        self._skip, self._by_samples = skip, by_samples
         self._kind = work.kind
         self._names = list(arrays.parameters)
         # Targets in storage order; padding weighs nothing.
@@ -129,9 +132,12 @@ class JaxlightShade(Contender):
         """The operation compiled by a jit of its own, and the program that came out."""
         plan = self._plan(operation)
         free, fixed = eqx.partition(self._scene, eqx.is_inexact_array)
+        names = ("position_planes", "normal_planes", "color_planes") if self._by_samples else ()
+        planes = {name: getattr(self._samples, name) for name in names}
 
-        def loss(free: Scene, fixed: Scene, samples: SampleBuffer, target: Any, weight: Any) -> Any:
-            squared = (shade_tiles(eqx.combine(free, fixed), samples, plan=plan)[:, :3] - target) ** 2
+        def loss(free: tuple[Scene, Any], fixed: Scene, samples: SampleBuffer, target: Any, weight: Any) -> Any:
+            own = dataclasses.replace(samples, **free[1])
+            squared = (shade_tiles(eqx.combine(free[0], fixed), own, plan=plan)[:, :3] - target) ** 2
             return jnp.sum(squared if weight is None else squared * weight)
 
         def colors(scene: Scene, samples: SampleBuffer) -> Any:
@@ -141,7 +147,7 @@ class JaxlightShade(Contender):
             arguments: tuple[Any, ...] = (self._scene, self._samples)
             program = jax.jit(colors, compiler_options=compiler_options()).lower(*arguments).compile()
         else:
-            arguments = (free, fixed, self._samples, self._target, self._weight)
+            arguments = ((free, planes), fixed, self._samples, self._target, self._weight)
             program = jax.jit(jax.value_and_grad(loss), compiler_options=compiler_options()).lower(*arguments).compile()
         return lambda: jax.block_until_ready(program(*arguments)), program.as_text() or ""
 
@@ -149,7 +155,7 @@ class JaxlightShade(Contender):
         return np.asarray(self._samples.rows_in_sample_order(result)).T[:3]
 
     def value_and_gradient(self, result: Any) -> ValueAndGradient:
-        value, gradient = result
+        value, (gradient, _) = result
         fields = free_fields(gradient, self._kind)
 
         def rows(name: str) -> np.ndarray:
