@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ..scene.fields import whole
@@ -179,6 +180,43 @@ class SampleBuffer(eqx.Module):
         """[tiles, components, tile], or blocks, -> [N, components]: padding dropped, samples in the order given."""
         rows = jnp.swapaxes(planes, 1, 2).reshape(-1, planes.shape[1])
         return rows[: self.count] if self.slot is None else jnp.take(rows, self.slot, axis=0)
+
+    def with_rows(
+        self, *, position: Array | None = None, normal: Array | None = None, color: Array | None = None
+    ) -> SampleBuffer:
+        """The same samples with other positions, normals or colours, of which derivatives may be taken.
+
+        Args:
+            position, normal: [N, 3], world space, in the order in which the samples were given.
+            color: [N, components], as many components as the buffer has.
+
+        Raises:
+            ValueError: another shape, or colours for a buffer without them.
+        """
+        rows = {"position": position, "normal": normal, "color": color}
+        changed: dict[str, Any] = {}
+        for name, own in rows.items():
+            if own is None:
+                continue
+            planes = getattr(self, f"{name}_planes")
+            if planes is None:
+                raise ValueError(f"SampleBuffer: {name}: the buffer has none that could be replaced")
+            expected = (self.count, planes.shape[1])
+            if jnp.shape(own) != expected:
+                raise ValueError(f"SampleBuffer: {name}: expected shape {list(expected)}, got {list(jnp.shape(own))}")
+            changed[f"{name}_planes"] = self._with_rows_in(planes, jnp.asarray(own, planes.dtype))
+        if position is not None:
+            tiles = (self.tile_surface.shape[0], self.tile)
+            places = lax.stop_gradient(jnp.moveaxis(changed["position_planes"], 1, 0)).reshape(-1, *tiles)
+            changed |= {"tile_low": places.min(axis=2), "tile_high": places.max(axis=2)}
+        return dataclasses.replace(self, **changed)
+
+    def _with_rows_in(self, planes: Array, rows: Array) -> Array:
+        """Planes [blocks, components, block] with these rows of all samples; padding as it was."""
+        blocks, components, block = planes.shape
+        slots = jnp.swapaxes(planes, 1, 2).reshape(-1, components)
+        slots = slots.at[jnp.arange(self.count) if self.slot is None else self.slot].set(rows, unique_indices=True)
+        return jnp.swapaxes(slots.reshape(blocks, block, components), 1, 2)
 
     def with_split_tiles(self, parts: int) -> SampleBuffer:
         """The same samples in the same slots, each tile split into `parts`, a power of two."""

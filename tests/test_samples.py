@@ -1,0 +1,95 @@
+"""Sample buffers with other rows: positions, normals and colours that are estimated themselves."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxlight import Scene, nodes
+from jaxlight.lighting import make_plan, shade
+from jaxlight.raster import SampleBuffer
+
+COUNT = 5000
+
+
+def rows(seed: int) -> dict[str, np.ndarray]:
+    """Positions, normals and colours."""
+    random = np.random.default_rng(seed)
+    return {
+        "position": np.float32([1, 1, 0.1]) * random.uniform(-1, 1, (COUNT, 3)).astype(np.float32),
+        "normal": np.float32([0, 0, 3]) + random.normal(size=(COUNT, 3)).astype(np.float32),
+        "color": random.uniform(0.1, 1, (COUNT, 3)).astype(np.float32),
+    }
+
+
+def buffer(own: dict[str, np.ndarray], by_place: bool = False) -> SampleBuffer:
+    """Of three surfaces, so that tiles are padded."""
+    surface = np.random.default_rng(1).integers(0, 3, COUNT)
+    return SampleBuffer.create(**own, eye=(0.3, 0.2, 6), surface=surface, by_place=by_place, dtype=np.float32)
+
+
+def small_lights(count: int) -> Scene:
+    """Three shapes with colours of their own under lights that reach few samples."""
+    random = np.random.default_rng(2)
+    color = nodes.Color(color=np.ones((1, 3)))
+    shapes = [
+        nodes.Shape(
+            appearance=nodes.Appearance(material=nodes.Material(shininess=shininess)),
+            geometry=nodes.IndexedFaceSet(color=color),
+        )
+        for shininess in (0.1, 0.2, 0.3)
+    ]
+    places = (0.9, 0.9, 0.4) * random.uniform(0, 1, (count, 3))
+    return Scene.from_nodes([*shapes, *(nodes.PointLight(location=place, radius=0.3) for place in places)])
+
+
+def test_a_buffer_with_other_rows_is_one_made_of_them() -> None:
+    """Lists of lights are drawn up for where the samples are now."""
+    scene, own = small_lights(60), rows(1)
+    other = rows(2) | {"position": own["position"][:, [1, 0, 2]]}
+    got, made = buffer(own, by_place=True).with_rows(**other), buffer(other, by_place=True)
+    assert make_plan(scene, got).culled
+    for name, wanted in other.items():
+        np.testing.assert_array_equal(getattr(got, name), wanted)
+    np.testing.assert_array_equal(got.surface, made.surface)
+    before, wanted = (np.asarray(shade(scene, samples)) for samples in (buffer(own, by_place=True), made))
+    assert np.max(np.abs(before - wanted)) > 0.1
+    np.testing.assert_allclose(shade(scene, got), wanted, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("by_place", [False, True])
+def test_derivatives_by_rows_are_those_by_planes(by_place: bool) -> None:
+    scene, samples = small_lights(3), buffer(rows(1), by_place)
+    weight = np.random.default_rng(3).normal(size=(COUNT, 3))
+
+    def loss(samples: SampleBuffer) -> jax.Array:
+        return jnp.sum(weight * shade(scene, samples)[:, :3])
+
+    by_planes = jax.grad(loss, allow_int=True)(samples)
+    by_rows = jax.jit(jax.grad(lambda own: loss(samples.with_rows(**own))))(rows(1))
+    for name in ("position", "normal", "color"):
+        wanted = np.asarray(samples.rows_in_sample_order(getattr(by_planes, f"{name}_planes")))
+        assert np.max(np.abs(wanted)) > 1e-2
+        np.testing.assert_allclose(by_rows[name], wanted, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("own", "message"),
+    [
+        ({"normal": np.zeros((3, COUNT))}, r"normal: expected shape \[5000, 3\], got \[3, 5000\]"),
+        ({"position": np.zeros((COUNT + 1, 3))}, r"position: expected shape \[5000, 3\], got \[5001, 3\]"),
+        ({"color": np.zeros((COUNT, 4))}, r"color: expected shape \[5000, 3\], got \[5000, 4\]"),
+    ],
+)
+def test_rows_of_another_shape_are_refused(own: dict[str, np.ndarray], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        buffer(rows(1)).with_rows(**own)
+
+
+def test_colors_for_a_buffer_without_are_refused() -> None:
+    own = rows(1)
+    samples = SampleBuffer.create(own["position"], own["normal"], (0, 0, 5))
+    with pytest.raises(ValueError, match="color: the buffer has none"):
+        samples.with_rows(color=own["color"])
