@@ -39,16 +39,26 @@ from .tile_derivatives import derivatives_by_tile, parts_of
 from .views import ViewData
 
 
-def loss(problem: Problem, values: Float[Array, " parameters"]) -> Float[Array, ""]:
-    """Half the sum of squares (or of the robust loss) at these values, of all samples, priors included."""
+def loss(problem: Problem, values: Float[Array, " parameters"], *, by_view: bool = False) -> Float[Array, ""]:
+    """Half the sum of squares (or of the robust loss) at these values, of all samples, priors included.
+
+    `by_view`: residuals are those of whole views, for derivatives by what is as large.
+    """
 
     def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
+        def of_part(carry: Any, residual: Array) -> tuple[Any, None]:
+            return add(carry, (half_losses(*problem.rho, residual),)), None
+
         if view.pixel is not None:
-            return add(carry, (half_losses(*problem.rho, view_residual(problem, problem.at(values), view)),))
+            return of_part(carry, view_residual(problem, problem.at(values), view))[0]
+        if by_view:
+            residual = view_residual(problem, problem.at(values), view)
+            parts = jnp.swapaxes(residual.reshape(3, -1, view.samples.tile), 0, 1)
+            return jax.lax.scan(of_part, carry, parts)[0]
         inputs = view_inputs(problem, view, values)
 
         def of_tile(carry: Any, tile: Tile) -> Any:
-            return add(carry, (half_losses(*problem.rho, jax.checkpoint(tile.residual)(inputs)),))
+            return of_part(carry, jax.checkpoint(tile.residual)(inputs))[0]
 
         return _over_all(problem, view, of_tile, carry)
 
@@ -64,7 +74,7 @@ def _over_all(problem: Problem, view: ViewData, of_tile: Callable[[Any, Tile], A
 def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> tuple[Array, Array]:
     """`loss` and its gradient in one pass: every tile is differentiated as soon as it is evaluated."""
     if problem.parameters.blocks:  # a gradient by every texel is too large to be taken tile by tile
-        return jax.value_and_grad(lambda v: loss(problem, v))(values)
+        return jax.value_and_grad(lambda v: loss(problem, v, by_view=True))(values)
 
     def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
         if view.pixel is not None:
