@@ -99,12 +99,12 @@ def test_the_arrow_is_the_dense_matrix(components: int, prior: dict[str, float],
     with precision("float64") as dtype:
         image = np.full((TEXELS, TEXELS, components), 0.5)
         image[..., 0] += 0.01 * np.arange(TEXELS)
-        fields = [Free(SKIN, **prior), "Material[body].shininess", "PointLight[key].location"]
+        fields = [Free(SKIN, **prior), "Material[body].shininess", "PointLight[key].location", "PointLight[key].color"]
         seen = views(scene(skin(components), dtype), dtype, noise=0.05)
         arrow, _ = make_problem(scene(image, dtype), seen, fields, loss="cauchy", loss_scale=0.1)
         made = jax.jit(normal.normal_equations)(arrow, arrow.parameters.start)
         assert isinstance(made.curvature, ArrowCurvature)
-        size = arrow.parameters.start.shape[0]
+        size, numbers = arrow.parameters.start.shape[0], arrow.parameters.few
         identity = jnp.eye(size)
         whole = np.asarray(jax.jit(jax.vmap(lambda v: made.curvature.product(v, arrow.sampling)))(identity))
 
@@ -112,7 +112,7 @@ def test_the_arrow_is_the_dense_matrix(components: int, prior: dict[str, float],
         np.testing.assert_allclose(made.gradient, slope, rtol=0, atol=1e-10 * np.abs(slope).max())
         assert float(made.loss) == pytest.approx(float(normal.loss(arrow, arrow.parameters.start)), rel=1e-12)
         np.testing.assert_allclose(whole, whole.T, rtol=0, atol=1e-12 * np.abs(whole).max())
-        rows = np.abs(whole[4:, 4:]).sum(axis=1)
+        rows = np.abs(whole[numbers:, numbers:]).sum(axis=1)
         assert np.all(np.asarray(made.curvature.row_sum) >= rows * (1 - 1e-9))
 
         monkeypatch.setattr(chosen, "MIN_BLOCK", 10**9)
@@ -121,13 +121,13 @@ def test_the_arrow_is_the_dense_matrix(components: int, prior: dict[str, float],
         few = jax.jit(normal.normal_equations)(dense, dense.parameters.start)
         # The dense problem's texels come first and hold alpha too.
         colors = np.arange(image.size).reshape(image.shape)[..., : 1 if components <= 2 else 3].reshape(-1)
-        order = np.concatenate([image.size + np.arange(4), colors])
+        order = np.concatenate([image.size + np.arange(numbers), colors])
         expected = np.asarray(few.curvature)[np.ix_(order, order)]
         if not {"smoothness", "total_variation"} & set(prior):
             np.testing.assert_allclose(whole, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
         else:
             extra = whole - expected
-            np.testing.assert_allclose(extra[:4], 0, atol=1e-11 * np.abs(expected).max())
+            np.testing.assert_allclose(extra[:numbers], 0, atol=1e-11 * np.abs(expected).max())
             np.testing.assert_allclose(extra.sum(axis=1), 0, atol=1e-9 * np.abs(extra).max())
             assert np.linalg.eigvalsh(extra).min() > -1e-9 * np.abs(extra).max()
 

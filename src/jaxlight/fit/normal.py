@@ -10,7 +10,7 @@ where rho(s) = s for squares. Gaussian priors add (x - mean)^2 / 2 variance.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -21,6 +21,7 @@ from ..lighting.tiles import Share, tiles_at_once
 from ..raster.samples import LANES
 from .columns import Columns
 from .curvature import DenseCurvature, NormalEquations
+from .moments import Moments, moments_of, zero_moments
 from .parameters import World
 from .problem import Problem, scene_of_view
 from .residuals import half_losses, reweight, view_colors, weighted_difference
@@ -112,20 +113,6 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
     return jnp.sum(total) + prior, gradient + prior_gradient
 
 
-class Moments(NamedTuple):
-    """Sums over tiles, channel by channel: what the normal equations are made of."""
-
-    loss: Float[Array, " lanes"]
-    """Half the losses, by lanes."""
-    slope: Float[Array, "3 directions"]
-    """J^T r"""
-    square: Float[Array, "3 directions directions"]
-    """J^T J"""
-
-    def __add__(self, other: Moments) -> Moments:  # type: ignore[override]  # sums over more tiles, not a longer tuple
-        return jax.tree.map(jnp.add, self, other)
-
-
 def normal_equations(problem: Problem, values: Float[Array, " parameters"]) -> NormalEquations:
     """Loss, gradient and Gauss-Newton matrix at these values, of the samples that `problem.every` chooses."""
     if problem.parameters.blocks:
@@ -135,7 +122,7 @@ def normal_equations(problem: Problem, values: Float[Array, " parameters"]) -> N
 
 def no_moments(problem: Problem) -> Moments:
     """The moments of all directions over no tile."""
-    return _no_moments(problem.columns, problem.parameters.start.dtype)
+    return zero_moments(problem.columns, problem.parameters.start.dtype)
 
 
 def model_moments(problem: Problem, values: Float[Array, " parameters"], share: Share | None = None) -> Moments:
@@ -192,30 +179,20 @@ def _settling(problem: Problem) -> Columns:
 
 
 def _moments(problem: Problem, values: Array, columns: Columns, share: Share | None) -> Moments:
-    def products(residual: Array, rows: Array) -> tuple[Array, Array, Array]:
-        weight = reweight(*problem.rho, residual)
-        heard = rows if weight is None else rows * weight[:, None]
-        product = jnp.einsum("cip,cjp->cij", heard, rows, precision="highest")
-        return half_losses(*problem.rho, residual), product[:, :-1, -1], product[:, :-1, :-1]
-
     def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
         if view.pixel is not None:
             residual, push = jax.linearize(lambda v: view_residual(problem, problem.at(v), view), values)
             rows = jax.lax.map(push, columns.directions)
-            return add(carry, products(residual, jnp.swapaxes(jnp.concatenate([rows, residual[None]]), 0, 1)))
+            rows = jnp.swapaxes(jnp.concatenate([rows, residual[None]]), 0, 1)
+            return add(carry, moments_of(problem.rho, residual, rows))
         derivatives = derivatives_by_tile(problem, view, values, columns)
 
         def of_tile(carry: Any, tile: Tile) -> Any:
-            return add(carry, products(*derivatives(tile)))
+            return add(carry, moments_of(problem.rho, *derivatives(tile)))
 
         return sum_over_tiles(problem, view, of_tile, carry, share)
 
-    return Moments(*over_views(problem, of_view, tuple(_no_moments(columns, values.dtype))))
-
-
-def _no_moments(columns: Columns, dtype: Any) -> Moments:
-    count = columns.count
-    return Moments(jnp.zeros(LANES, dtype), jnp.zeros((3, count), dtype), jnp.zeros((3, count, count), dtype))
+    return Moments(*over_views(problem, of_view, tuple(zero_moments(columns, values.dtype))))
 
 
 def _equations(problem: Problem, values: Array, columns: Columns, moments: Moments) -> NormalEquations:

@@ -28,6 +28,7 @@ from ..lighting.cores import in_threads, shares_of
 from ..lighting.tiles import Share
 from ..scene.fields import non_negative
 from . import normal
+from .moments import Moments
 from .problem import Problem
 from .solver import BoundedLevenbergMarquardt, SolverState, default_tolerance
 from .steps import Step
@@ -144,7 +145,7 @@ def _shares(problem: Problem, state: FitState) -> int:
     return shares_of(sum(math.prod(view.root_weight.shape) // view.root_weight.shape[-2] for view in problem.views))
 
 
-def _added(moments: Callable[[Array], normal.Moments], shares: int) -> normal.Moments:
+def _added(moments: Callable[[Array], Moments], shares: int) -> Moments:
     return functools.reduce(operator.add, in_threads(lambda share: moments(jnp.asarray(share)), shares))
 
 
@@ -166,18 +167,18 @@ def _stepped(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitStat
 
 
 @quick_jit
-def _trial_moments(problem: Problem, state: FitState, share: Array, shares: int) -> normal.Moments:
+def _trial_moments(problem: Problem, state: FitState, share: Array, shares: int) -> Moments:
     return normal.trial_moments(_part(problem, state), state.solver.y_eval, Share(share, shares))
 
 
 @quick_jit
-def _model_moments(problem: Problem, state: FitState, values: Array, share: Array, shares: int) -> normal.Moments:
+def _model_moments(problem: Problem, state: FitState, values: Array, share: Array, shares: int) -> Moments:
     return normal.model_moments(_part(problem, state), values, Share(share, shares))
 
 
 @quick_jit
 def _judged(
-    problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState, moments: normal.Moments
+    problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState, moments: Moments
 ) -> tuple[Array, Array, Array]:
     """The settled trial, its loss, and whether the solver accepts it; the loss of one that it refuses is infinite, so
     that rounding cannot make it think otherwise."""
@@ -193,7 +194,7 @@ def _advanced(
     state: FitState,
     trial: Array,
     loss: Array,
-    moments: normal.Moments,
+    moments: Moments,
 ) -> FitState:
     """The state after a trial; `moments` are those at the trial if it is accepted."""
 

@@ -13,11 +13,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..raster.samples import LANES
+from ..lighting.stages import Stage
+from .columns import Columns
 from .curvature import ArrowCurvature, Neighbours, NormalEquations
+from .moments import Moments, moments_of, zero_moments
 from .parameters import TexelBlock
 from .problem import Problem
-from .residuals import half_losses, reweight
+from .residuals import reweight
 from .sampling import block_of
 from .streaming import Tile, add_terms, added_up, over_tiles, view_inputs, with_textures
 from .tile_derivatives import derivatives_by_tile
@@ -29,37 +31,32 @@ _EDGE = 1e-2
 
 def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> NormalEquations:
     """Loss, gradient and curvature at these values, priors included."""
-    parameters = problem.parameters
-    count, dtype = parameters.few, values.dtype
+    parameters, columns, dtype = problem.parameters, problem.columns, values.dtype
 
     def of_view(carry: Any, view: ViewData) -> tuple[Any, Any]:
         inputs = view_inputs(problem, view, values)
         images = inputs.prepared.textures
-        derivatives = derivatives_by_tile(problem, view, values, problem.columns)
+        derivatives = derivatives_by_tile(problem, view, values, columns)
 
         def of_tile(carry: Any, tile: Tile) -> tuple[Any, Any]:
             sums, tables = carry
             residual, given = derivatives(tile)
-            jacobian = problem.columns.jacobian(given[:, :-1])
-            weight = reweight(*problem.rho, residual)
-            heard = jnp.ones_like(residual) if weight is None else weight
-            flat = (jacobian * heard).reshape(count, residual.size)
-            sums = add_terms(
-                sums,
-                (
-                    half_losses(*problem.rho, residual),
-                    jnp.matmul(flat, residual.reshape(-1), precision="highest"),
-                    jnp.matmul(flat, jacobian.reshape(count, residual.size).T, precision="highest"),
-                ),
-            )
+            sums = add_terms(sums, moments_of(problem.rho, residual, given))
             block = block_of(tile.run, parameters.blocks)
             if block < 0:
                 return (sums, tables), None
             change = _change_by_texel(tile, inputs, images, parameters.blocks[block])
-            rows, strength = _texel_rows(tile, parameters.blocks[block].shape[2], change, heard, residual, jacobian)
+            weight = reweight(*problem.rho, residual)
+            heard = change if weight is None else change * weight
+            if parameters.blocks[block].shape[2] == 3:
+                strength, products = change * heard, heard[:, None] * given
+            else:
+                strength = jnp.sum(change * heard, axis=0, keepdims=True)
+                rows = jnp.concatenate([columns.jacobian(given[:, :-1]), residual[None]])
+                products = jnp.sum(heard * rows, axis=1)[None]
             index = tile.cut(view.samples.texel_index).reshape(-1)  # type: ignore[arg-type]  # the block's samples have it
             tables = list(tables)
-            tables[block] = tables[block].at[index].add(rows)
+            tables[block] = tables[block].at[index].add(_texel_rows(tile, products, strength))
             return (sums, tuple(tables)), strength
 
         carry, strengths = over_tiles(problem, view, of_tile, carry, forward=True)
@@ -67,19 +64,29 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
         planes = [None if s is None else jnp.moveaxis(s, 1, 0).reshape(s.shape[1], -1) for s in strengths]
         return carry, planes
 
-    zeros = (jnp.zeros(LANES, dtype), jnp.zeros(count, dtype), jnp.zeros((count, count), dtype))
-    carry = (
-        (zeros, jax.tree.map(jnp.zeros_like, zeros)),
-        tuple(jnp.zeros((b.shape[0] * b.shape[1], b.shape[2], count + 3), dtype) for b in parameters.blocks),
-    )
+    zeros = zero_moments(columns, dtype)
+    tables = [
+        jnp.zeros((height * width, colors, (columns.count if colors == 3 else parameters.few) + 2), dtype)
+        for height, width, colors in (block.shape for block in parameters.blocks)
+    ]
+    carry: Any = ((tuple(zeros), tuple(jax.tree.map(jnp.zeros_like, zeros))), tuple(tables))
     strengths = []
     for stack in problem.views:
         carry, planes = jax.lax.scan(of_view, carry, stack)
         strengths.append(planes)
-    total, gradient, dense = added_up(carry[0])
-    table = jnp.concatenate([part.reshape(-1, count + 3) for part in carry[1]])
-    texel_part = (table[:, count], table[:, count + 1], table[:, count + 2])
-    return _assembled(problem, values, (jnp.sum(total), gradient, dense), table[:, :count], texel_part, strengths)
+    moments = Moments(*added_up(carry[0]))
+    few = (jnp.sum(moments.loss), columns.gathered_slope(moments.slope), columns.gathered(moments.square))
+    cross = jnp.concatenate([_by_number(columns, table[..., :-2]) for table in carry[1]])
+    texel_part = tuple(jnp.concatenate([table[..., column].reshape(-1) for table in carry[1]]) for column in (-2, -1))
+    return _assembled(problem, values, few, cross, texel_part, strengths)
+
+
+def _by_number(columns: Columns, products: Float[Array, "texels colors rows"]) -> Float[Array, "all numbers"]:
+    """The coupling of texels to numbers: three colours are coupled to directions, a channel each; one to numbers."""
+    if products.shape[1] == 3:
+        products = jnp.einsum("tci,cip->tcp", products, columns.own, precision="highest")
+    texels, colors, numbers = products.shape
+    return products.reshape(texels * colors, numbers)
 
 
 def _change_by_texel(tile: Tile, inputs: Any, images: tuple[Array, ...], block: TexelBlock) -> Array:
@@ -96,30 +103,15 @@ def _change_by_texel(tile: Tile, inputs: Any, images: tuple[Array, ...], block: 
 
 
 def _texel_rows(
-    tile: Tile, colors: int, change: Array, heard: Array, residual: Array, jacobian: Array
-) -> tuple[Array, Array]:
-    """What a tile adds to the texels it sees, [4 samples, colours, few + 3], and e^2 [colours, samples].
-
-    Columns: coupling to the numbers with labels, gradient, diagonal, row sum.
-    """
+    tile: Tile, products: Float[Array, "colors rows samples"], strength: Float[Array, "colors samples"]
+) -> Float[Array, "corners colors columns"]:
+    """What a tile adds to the four texels that each sample sees: products with e, and the row sum of squares."""
     weight = tile.cut(tile.view.samples.texel_weight)  # type: ignore[arg-type]  # the block's samples have it
-
-    def by_color(channels: Array) -> Array:
-        return channels if colors == 3 else jnp.sum(channels, axis=-2, keepdims=True)
-
-    strength = by_color(change * change * heard)
-    coupled = by_color(change * heard * jacobian)
-    slope = by_color(change * heard * residual)
-    linear = jnp.concatenate([coupled, slope[None]])
-    corners = jnp.concatenate(
-        [
-            weight[None, None] * linear[:, :, None],
-            (weight * weight)[None, None] * strength[None, :, None],
-            (weight * jnp.sum(jnp.abs(weight), axis=0))[None, None] * strength[None, :, None],
-        ]
-    )
-    # [columns, colours, 4, samples] -> [4 samples, colours, columns]
-    return corners.reshape(*corners.shape[:2], -1).transpose(2, 1, 0), strength
+    row_sum = strength * jnp.sum(jnp.abs(weight), axis=0)
+    stage = Stage(tile.index >= 0)
+    planes = stage(lambda: jnp.concatenate([products, row_sum[:, None]], axis=1), name="texel.planes")
+    turned = stage(lambda: planes.transpose(2, 0, 1), name="texel.turned")  # before it becomes four times as large
+    return (weight[:, :, None, None] * turned).reshape(-1, *turned.shape[1:])
 
 
 def _assembled(
@@ -128,7 +120,7 @@ def _assembled(
     """The sums and the priors put together."""
     parameters = problem.parameters
     count = parameters.few
-    slope, diagonal, row_sum = texel_part
+    slope, row_sum = texel_part
     pull = parameters.prior_precision * (values - parameters.prior_mean)
     precision = parameters.prior_precision
     neighbours, slopes, degrees, loss = [], [], [], few[0]
@@ -146,7 +138,7 @@ def _assembled(
     ]
     own = precision[count:]
     if all(sampling.single for sampling in problem.sampling):
-        own = own + diagonal
+        own = own + row_sum  # with one texel a sample nothing else is in a row
     elif any(sampling.single for sampling in problem.sampling):
         kept = [tuple(planes) for planes in strengths]
     curvature = ArrowCurvature(

@@ -26,8 +26,8 @@ def sampled_texture(
     image: Float[Array, "height width components"], index: Int[Array, "4 ..."], weight: Float[Array, "4 ..."]
 ) -> Float[Array, "components ..."]:
     """The texture at each sample from four texels and their weights."""
-    texels = image.reshape(-1, image.shape[2])
-    return jnp.einsum("k...,k...c->c...", weight, texels[index].astype(weight.dtype))
+    planes = image.reshape(-1, image.shape[2]).T
+    return jnp.sum(weight * planes[:, index].astype(weight.dtype), axis=1)
 
 
 def base_color(
