@@ -122,8 +122,7 @@ class ArrowCurvature(Curvature):
         for block, neighbours in enumerate(self.neighbours):
             if neighbours is not None:
                 sums[block] = sums[block] + neighbours.product(images[block])
-        tables = [image.reshape(-1, image.shape[2]) for image in images]
-        totals = [image.reshape(-1, image.shape[2]) for image in sums]
+        tables, totals = list(map(_planes, images)), list(map(_planes, sums))
         for stack, strengths in zip(sampling, self.strengths, strict=True):
             for (block, start, stop), strength in zip(stack.runs, strengths, strict=True):
                 if strength is None:
@@ -132,12 +131,11 @@ class ArrowCurvature(Curvature):
 
                 def of_view(total: Array, view: Any, table: Array = tables[block]) -> tuple[Array, None]:
                     index, weight, strength = view
-                    seen = jnp.einsum("ks,ksc->cs", weight, table[index]) * strength
-                    spread = weight[:, :, None] * seen.T[None]
-                    return total.at[index.reshape(-1)].add(spread.reshape(-1, table.shape[1])), None
+                    seen = jnp.sum(weight * table[:, index], axis=1) * strength
+                    return total.at[:, index].add(weight * seen[:, None]), None
 
                 totals[block], _ = jax.lax.scan(of_view, totals[block], (index, weight, strength))
-        return jnp.concatenate([total.reshape(-1) for total in totals])
+        return jnp.concatenate([total.T.reshape(-1) for total in totals])
 
     def eliminated(self, sampling: tuple[TexelSampling, ...], free: Array) -> tuple[Array, Array]:
         """(few [few, few] with the free texels eliminated, [texels, few] how texels answer to the numbers).
@@ -190,6 +188,11 @@ class ArrowCurvature(Curvature):
             rounds=4, fractions=(1.0, 0.25), tolerance=10 * TOLERANCE,
         )  # fmt: skip
         return BoxMinimum(found.point / scale, found.solved)
+
+
+def _planes(image: Float[Array, "height width colors"]) -> Float[Array, "colors texels"]:
+    """One plane a colour, which is quicker to gather from and to add to than rows of colours."""
+    return image.reshape(-1, image.shape[2]).T
 
 
 def as_curvature(matrix: Any) -> Curvature:
