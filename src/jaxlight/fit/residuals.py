@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Literal
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -60,7 +59,7 @@ def view_colors(scene: object, view: ViewData, exposure: Array) -> Float[Array, 
 
 def _gather(planes: Array, pixel: Array, points: int) -> Array:
     """Sums of [C, slots] over the slots of each point; padding goes to a row that is cut off."""
-    return jax.ops.segment_sum(planes.T, pixel, num_segments=points + 1)[:points].T
+    return jnp.zeros((planes.shape[0], points + 1), planes.dtype).at[:, pixel].add(planes)[:, :points]
 
 
 def half_losses(kind: LossKind, scale: Array, residual: Array) -> Float[Array, " lanes"]:
