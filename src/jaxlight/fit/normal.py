@@ -23,6 +23,7 @@ from .columns import Columns
 from .curvature import DenseCurvature, NormalEquations
 from .moments import Moments, moments_of, zero_moments
 from .parameters import World
+from .pixels import pixel_derivatives
 from .problem import Problem, scene_of_view
 from .residuals import half_losses, reweight, view_colors, weighted_difference
 from .streaming import (
@@ -181,10 +182,7 @@ def _settling(problem: Problem) -> Columns:
 def _moments(problem: Problem, values: Array, columns: Columns, share: Share | None) -> Moments:
     def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
         if view.pixel is not None:
-            residual, push = jax.linearize(lambda v: view_residual(problem, problem.at(v), view), values)
-            rows = jax.lax.map(push, columns.directions)
-            rows = jnp.swapaxes(jnp.concatenate([rows, residual[None]]), 0, 1)
-            return add(carry, moments_of(problem.rho, residual, rows))
+            return add(carry, moments_of(problem.rho, *pixel_derivatives(problem, view, values, columns)))
         derivatives = derivatives_by_tile(problem, view, values, columns)
 
         def of_tile(carry: Any, tile: Tile) -> Any:

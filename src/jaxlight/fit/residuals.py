@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..lighting import shade_planes
 from ..raster.samples import LANES
@@ -49,17 +49,28 @@ def view_colors(scene: object, view: ViewData, exposure: Array) -> Float[Array, 
     if view.pixel is None:
         return exposure * composited(color, alpha, view.background)
     assert view.share is not None
-    points = view.target.shape[-1]
-    share = view.share if view.background is None else view.share * alpha
-    color = _gather(color * share, view.pixel, points)
+    parts = parts_of_pixels(view, exposure, color, alpha, view.pixel, view.share)
+    sums = jnp.zeros((3, view.target.shape[-1] + 1), parts.dtype).at[:, view.pixel].add(parts)
+    return pixel_colors(view, exposure, sums[:, :-1])  # the last is padding's
+
+
+def parts_of_pixels(
+    view: ViewData,
+    exposure: Array,
+    color: Float[Array, "3 samples"],
+    alpha: Array,
+    pixel: Int[Array, " samples"],
+    share: Float[Array, " samples"],
+) -> Float[Array, "3 samples"]:
+    """What samples add to the colours of the pixels that gather them, beyond the background."""
     if view.background is not None:
-        color = color + (1 - _gather(share[None], view.pixel, points)) * view.background
-    return exposure * color
+        color = alpha * (color - view.background.at[:, pixel].get(mode="clip"))
+    return exposure * share * color
 
 
-def _gather(planes: Array, pixel: Array, points: int) -> Array:
-    """Sums of [C, slots] over the slots of each point; padding goes to a row that is cut off."""
-    return jnp.zeros((planes.shape[0], points + 1), planes.dtype).at[:, pixel].add(planes)[:, :points]
+def pixel_colors(view: ViewData, exposure: Array, sums: Float[Array, "3 points"]) -> Float[Array, "3 points"]:
+    """The colours of pixels from the sums of their samples' parts."""
+    return sums if view.background is None else sums + exposure * view.background
 
 
 def half_losses(kind: LossKind, scale: Array, residual: Array) -> Float[Array, " lanes"]:

@@ -24,7 +24,7 @@ from ..lighting.unstored import Inlined, stored
 from .parameters import World
 from .part import tiles_of_part
 from .problem import Problem, scene_of_view
-from .residuals import composited, weighted_difference
+from .residuals import composited, parts_of_pixels, weighted_difference
 from .views import ViewData
 
 Carry = Any
@@ -45,7 +45,7 @@ class Tile(NamedTuple):
     color: Callable[[ViewInputs, Plan], Color]
     """The colours as a function of the inputs, as far as a plan computes them."""
     residual_of: Callable[[Float[Array, ""], Color], Float[Array, "3 samples"]]
-    """The weighted residuals as a function of exposure and colours."""
+    """The weighted residuals as a function of exposure and colours; where pixels gather samples, what each adds."""
     run: Run
     index: Int[Array, ""]
     view: ViewData
@@ -59,6 +59,12 @@ class Tile(NamedTuple):
     def cut(self, planes: Array) -> Array:
         """The tile's columns of planes [..., slots]."""
         return tile_of(planes, self.index, self.size)
+
+    def turned(self, *planes: Float[Array, "colors rows samples"]) -> Float[Array, "samples colors rows"]:
+        """All rows, sample after sample; in stages, or XLA would compute them element by element in that order."""
+        stage = Stage(self.index >= 0)
+        together = stage(lambda: jnp.concatenate(planes, axis=1), name="together")
+        return stage(lambda: together.transpose(2, 0, 1), name="turned")
 
 
 def view_inputs(problem: Problem, view: ViewData, values: Float[Array, " parameters"]) -> ViewInputs:
@@ -157,13 +163,19 @@ def _tile(view: ViewData, run: Run, index: Array, forward: bool, together: int =
     def color_of(inputs: ViewInputs, plan: Plan) -> Color:
         return tile_color(run, inputs.prepared, view.samples, plan, index, together, forward=forward)
 
+    def part_of_pixel(exposure: Array, color: Color) -> Array:
+        assert view.pixel is not None and view.share is not None
+        pixel, share = (tile_of(plane, index, size) for plane in (view.pixel, view.share))
+        rgb, alpha = stored((color.rgb, color.alpha))
+        return parts_of_pixels(view, exposure, rgb, alpha, pixel, share)
+
     def residual_of(exposure: Array, color: Color) -> Array:
         background = None if view.background is None else cut(view.background)
         operands = (exposure, color, background, cut(view.target), cut(view.root_weight), view.dark, view.saturated)
         # Derivatives in forward mode move many planes at once: they are not worth a stage of their own.
         return _residual(*stored(operands)) if forward else Stage(index >= 0).each(_residual, *operands)
 
-    return Tile(color_of, residual_of, run, index, view, size)
+    return Tile(color_of, residual_of if view.pixel is None else part_of_pixel, run, index, view, size)
 
 
 def _residual(

@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..lighting.stages import Stage
 from .columns import Columns
 from .curvature import ArrowCurvature, Neighbours, NormalEquations
 from .moments import Moments, moments_of, zero_moments
@@ -108,9 +107,7 @@ def _texel_rows(
     """What a tile adds to the four texels that each sample sees: products with e, and the row sum of squares."""
     weight = tile.cut(tile.view.samples.texel_weight)  # type: ignore[arg-type]  # the block's samples have it
     row_sum = strength * jnp.sum(jnp.abs(weight), axis=0)
-    stage = Stage(tile.index >= 0)
-    planes = stage(lambda: jnp.concatenate([products, row_sum[:, None]], axis=1), name="texel.planes")
-    turned = stage(lambda: planes.transpose(2, 0, 1), name="texel.turned")  # before it becomes four times as large
+    turned = tile.turned(products, row_sum[:, None])  # before it becomes four times as large
     return (weight[:, :, None, None] * turned).reshape(-1, *turned.shape[1:])
 
 
