@@ -89,7 +89,7 @@ def problem(kind: str, dtype: Any) -> Problem:
     }.get(kind, [plain])
     if kind in ("background", "sensor limits", "cauchy", "two views of different size"):
         free = list(FEW)
-    if kind.startswith("two views"):
+    if kind.startswith("two views") or kind == "several samples a pixel over a background":
         free += ["View[*].exposure"]
     if kind in ("huber", "cauchy"):
         more = {"loss": kind, "loss_scale": 0.05}

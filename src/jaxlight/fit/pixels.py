@@ -23,11 +23,12 @@ def pixel_derivatives(
     problem: Problem, view: ViewData, values: Float[Array, " parameters"], columns: Columns
 ) -> tuple[Float[Array, "3 points"], Float[Array, "3 rows points"]]:
     """The residuals of a view's pixels, and the rows of their derivatives with the residuals as the last."""
-    derivatives = derivatives_by_tile(problem, view, values, columns)
+    derivatives, pixel = derivatives_by_tile(problem, view, values, columns), view.pixel
+    assert pixel is not None
 
     def of_tile(table: Array, tile: Tile) -> tuple[Array, None]:
         _, given = derivatives(tile)
-        return table.at[tile.cut(view.pixel)].add(tile.turned(given)), None  # type: ignore[arg-type]  # pixels have it
+        return table.at[tile.cut(pixel)].add(tile.turned(given)), None
 
     def exposure_at(values: Array) -> Array:
         return problem.at(values).exposure[view.row]
