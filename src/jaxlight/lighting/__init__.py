@@ -7,4 +7,5 @@ from .plan import Plan as Plan
 from .plan import make_plan as make_plan
 from .shade import shade as shade
 from .shade import shade_planes as shade_planes
+from .shade import shade_slots as shade_slots
 from .shade import shade_tiles as shade_tiles

@@ -65,8 +65,10 @@ class How(NamedTuple):
     plan: Plan
     count: int
     """Neighbouring tiles that are one here."""
-    forward: bool
+    forward: bool = False
     """If derivatives are taken, then in forward mode."""
+    with_alpha: bool = False
+    """Whether colours have a fourth component, alpha."""
 
 
 class TileInputs(NamedTuple):
@@ -112,6 +114,25 @@ def tile_color(
     return _tile_color(How(run, plan, count, forward), prepared, single, samples, texel, index)
 
 
+def rows_of_tiles(
+    run: Run, single: Prepared, samples: SampleBuffer, plan: Plan, first: Array | int, count: int
+) -> Float[Array, "samples 4"]:
+    """Red, green, blue and alpha, side by side, of `count` tiles from tile `first` on; not to be differentiated.
+
+    Either they are of one block, or whole blocks, under at most UNROLLED lights.
+
+    Args:
+        single: what `on_one_lane` gives.
+    """
+    how = How(run, plan, count, with_alpha=True)
+    lanes = lanes_of(samples) if plan.culled else samples.tile * min(count, samples.group)
+    stage, near, inputs = _read(
+        SampleLoops(_always(how, samples, first), lanes=lanes), how, single, samples, None, first, lanes
+    )
+    rows = _evaluated(how, near, stage, inputs).numbers
+    return rows.astype(compute_dtype(samples)).reshape(-1, rows.shape[-1])
+
+
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _tile_color(
     how: How, prepared: Prepared, single: Prepared, samples: SampleBuffer, texel: Array | None, index: Array
@@ -133,10 +154,10 @@ def _tile_color_jvp(how: How, primals: Any, tangents: Any) -> tuple[Color, Color
 _tile_color.defjvp(_tile_color_jvp, symbolic_zeros=True)
 
 
-def _always(how: How, samples: SampleBuffer, index: Array) -> Bool[Array, ""]:
-    """True, but only the running program knows."""
+def _always(how: How, samples: SampleBuffer, number: Array | int) -> Bool[Array, ""]:
+    """True, but only the running program knows; `number` is at least 0."""
     alone = how.run.stop - how.run.start <= how.count
-    return samples.tile_surface[0] >= 0 if alone else index >= 0
+    return samples.tile_surface[0] >= 0 if alone else jnp.asarray(number) >= 0
 
 
 def _color(
@@ -148,8 +169,27 @@ def _color(
     index: Array,
     lanes: int,
 ) -> Color:
+    stage, near, inputs = _read(stage, how, prepared, samples, texel, index * how.count, lanes)
+    rgb = stored(_evaluated(how, near, stage, inputs))
+    own = None if inputs.vertex_color is None else stored(inputs.vertex_color).stacked()
+    dtype = compute_dtype(samples)
+    opacity = alpha(how.plan.options, inputs.material, own, inputs.texel)
+    opacity = jnp.ones(1, dtype) if opacity is None else opacity.astype(dtype).reshape(-1)
+    return Color(rgb.astype(dtype).reshape(3, -1), opacity)
+
+
+def _read(
+    stage: Stage,
+    how: How,
+    prepared: Prepared,
+    samples: SampleBuffer,
+    texel: Array | None,
+    first: Array | int,
+    lanes: int,
+) -> tuple[Stage, Near | None, TileInputs]:
+    """What colours from tile `first` on follow from, left where it lies; `Near` if lights are evaluated in parts."""
     surface, plan, count = how.run.surface, how.plan, how.count
-    dtype, tile, first = compute_dtype(samples), samples.tile * count, index * count
+    dtype, tile, blocks = compute_dtype(samples), samples.tile * count, max(1, count // samples.group)
     rows = tile // lanes
 
     # Known before the loops that read there: divided in each of them, LLVM would not see that it is always the same.
@@ -159,7 +199,7 @@ def _color(
         """The tiles' part of planes [blocks, components, block], of so many components or one, left where it lies."""
         block, within = place
         start = (block, jnp.full_like(block, lowest), within)
-        return cast(Array, Inlined(partial(_part, (*components, rows, lanes), dtype), (planes, start)))
+        return cast(Array, Inlined(partial(_part, blocks, (*components, rows, lanes), dtype), (planes, start)))
 
     def unread(planes: Array, components: int = 3) -> Unread:
         each = tuple(part(planes, (), component) for component in range(components))
@@ -167,12 +207,17 @@ def _color(
 
     def cut(planes: Array, kind: jnp.dtype = dtype) -> Array:
         """The tiles' part of planes [components, slots], [components, rows, lanes]."""
-        return stage(lambda: tile_of(planes, index, tile).astype(kind).reshape(planes.shape[0], -1, lanes), name="read")
+        own = partial(lax.dynamic_slice_in_dim, planes, first * samples.tile, tile, axis=-1)
+        return stage(lambda: own().astype(kind).reshape(planes.shape[0], -1, lanes), name="read")
 
     def bounds(planes: Array, reduce: Callable[..., Array]) -> Array:
         return reduce(lax.dynamic_slice_in_dim(planes, first, count, axis=1), axis=1).astype(dtype)
 
-    row = samples.tile_surface[first] if how.run.single is None else how.run.single
+    row: Any = how.run.single
+    if row is None:
+        row = samples.tile_surface[first]
+        if blocks > 1:
+            row = lax.dynamic_slice_in_dim(samples.tile_surface, first, count)[:: samples.group]
     material = material_row(prepared, surface, row, how.run.single)
     vertex_color = None
     if surface.color_components and samples.color_planes is not None:
@@ -198,17 +243,18 @@ def _color(
         fog=prepared.fog if lit_material or plan.options.fog_unlit else None,
     )
     ordinary = for_all_mapped(jnp.all(lax.dynamic_slice_in_dim(prepared.ordinary, first, count)))
-    stage = dataclasses.replace(stage, ordinary=ordinary)
-    number = sum(lights.count for lights in inputs.lights if lights is not None)
-    if number > UNROLLED or how.plan.culled:
+    near = None
+    if sum(lights.count for lights in inputs.lights if lights is not None) > UNROLLED or plan.culled:
         extent = Extent(bounds(samples.tile_low, jnp.min), bounds(samples.tile_high, jnp.max), viewer_of(samples, plan))
-        rgb = _rgb(how, Near(extent, in_scope), stage, inputs)
-    else:
-        rgb = stage.together(partial(_rgb, how, None), inputs)
-    own = None if vertex_color is None else stored(vertex_color).stacked()
-    opacity = alpha(plan.options, material, own, texel)
-    opacity = jnp.ones(1, dtype) if opacity is None else opacity.astype(dtype).reshape(-1)
-    return Color(stored(rgb).astype(dtype).reshape(3, tile), opacity)
+        near = Near(extent, in_scope)
+    return dataclasses.replace(stage, ordinary=ordinary), near, inputs
+
+
+def _evaluated(how: How, near: Near | None, stage: Stage, inputs: TileInputs) -> Any:
+    """The equation; all of it in one of what a stage puts together, unless lights are evaluated in parts."""
+    if near is None:
+        return stage.together(partial(_colors, how, None), inputs)
+    return _colors(how, near, stage, inputs)
 
 
 def tile_of(plane: Array, index: Array, tile: int) -> Array:
@@ -216,22 +262,24 @@ def tile_of(plane: Array, index: Array, tile: int) -> Array:
     return lax.dynamic_slice_in_dim(plane, index * tile, tile, axis=-1)
 
 
-def _part(shape: tuple[int, ...], dtype: jnp.dtype, array: Array, start: tuple[Array, ...]) -> Array:
+def _part(blocks: int, shape: tuple[int, ...], dtype: jnp.dtype, array: Array, start: tuple[Array, ...]) -> Array:
     slots = shape[-2] * shape[-1]
-    part = lax.dynamic_slice(array, start, (1, math.prod(shape) // slots, slots), allow_negative_indices=False)
+    size = (blocks, math.prod(shape) // slots, slots // blocks)
+    part = lax.dynamic_slice(array, start, size, allow_negative_indices=False)
     return part.reshape(shape).astype(dtype)
 
 
 def _in_reach(
-    lights: WorldLights | None, plan: LightPlan | None, in_scope: Bool[Array, " lights"] | None
+    lights: WorldLights | None, plan: LightPlan | None, in_scope: Bool[Array, "*rows lights"] | None
 ) -> WorldLights | None:
     """The lights with those out of scope made black; what is culled takes care of its scope itself."""
     if lights is None or plan is None or plan.culled or in_scope is None:
         return lights
-    return dataclasses.replace(lights, color=jnp.where(in_scope[:, None, None], lights.color, 0.0))
+    reaches = jnp.atleast_2d(in_scope).T[..., None]
+    return dataclasses.replace(lights, color=jnp.where(reaches, lights.color, 0.0))
 
 
-def _rgb(how: How, near: Near | None, stage: Stage, inputs: TileInputs) -> Float[Array, "3 rows lanes"]:
+def _colors(how: How, near: Near | None, stage: Stage, inputs: TileInputs) -> Float[Array, "components rows lanes"]:
     """The equation; `near` is asked for if lights are culled."""
     position, eye = inputs.position.vector, Vector(*inputs.eye)
     own = stage.together(directions, inputs.position, inputs.normal, inputs.eye)
@@ -282,11 +330,11 @@ def _received(
 
 def _mixed(
     how: How, stage: Stage, inputs: TileInputs, light: Received | None, tile: Geometry
-) -> Float[Array, "3 rows lanes"]:
+) -> Float[Array, "components rows lanes"]:
     fog = None
     if inputs.fog is not None and how.plan.fog is not None:
         fog = (inputs.fog.color, haze(stage, inputs.fog, how.plan.fog.fog_type, tile))
-    shape = (3, *tile.position.x.shape)
+    shape = tile.position.x.shape
     own = None if inputs.vertex_color is None else inputs.vertex_color.stacked()
     return stage.each(partial(_colored, how, shape), inputs.material, own, inputs.texel, light, fog)
 
@@ -299,9 +347,13 @@ def _colored(
     texel: Array | None,
     light: Received | None,
     fog: tuple[Array, Haze] | None,
-) -> Float[Array, "3 rows lanes"]:
+) -> Float[Array, "components rows lanes"]:
     surface, plan = how.run.surface, how.plan
     color = base_color(surface, plan.options, material, vertex_color, texel)
     if surface.lighting == "lit" and material is not None:
         color = lit(material, color, light, emissive=plan.emissive)
-    return jnp.broadcast_to(color if fog is None else fogged(color, *fog), shape)
+    rgb = jnp.broadcast_to(color if fog is None else fogged(color, *fog), (3, *shape))
+    if not how.with_alpha:
+        return rgb
+    opacity = alpha(plan.options, material, vertex_color, texel)
+    return jnp.concatenate([rgb, jnp.broadcast_to(1.0 if opacity is None else opacity, shape)[None].astype(rgb.dtype)])

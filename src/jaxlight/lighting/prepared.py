@@ -112,9 +112,14 @@ def lanes_of(samples: SampleBuffer) -> int:
 
 
 def material_row(prepared: Prepared, surface: Surface, row: Any, single: int | None) -> MaterialRow | None:
-    """The material of a surface row; a known row needs no lookup."""
+    """The material of a surface row, or of several, which are rows of planes then; a known row needs no lookup."""
     if surface.material < 0 or prepared.materials is None:
         return None
-    rows = np.array([other.material for other in prepared.surfaces])
-    material = rows[single] if single is not None else jnp.asarray(rows)[row]
-    return MaterialRow(*(getattr(prepared.materials, name)[material] for name in MaterialRow._fields))
+    numbers = np.array([other.material for other in prepared.surfaces])
+    material = numbers[single] if single is not None else jnp.asarray(numbers)[row]
+
+    def field(name: str) -> Array:
+        own = getattr(prepared.materials, name)[material]
+        return own if np.ndim(material) == 0 else jnp.moveaxis(own[..., 0, :], 0, -2)
+
+    return MaterialRow(*map(field, MaterialRow._fields))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -22,9 +23,10 @@ from .prepared import compute_dtype, prepare
 from .tiles import (
     Share,
     color_and_alpha_of_run,
-    colors_of_run,
     in_fitting_tiles,
+    is_one_loop,
     joined_shares,
+    rows_of_run,
     surface_runs,
     tiles_at_once,
 )
@@ -48,41 +50,72 @@ def shade(
         ValueError: leaves of the scene that are not floating-point arrays of their shape; samples that name a surface
             the scene lacks, or lack a colour or texels that it asks for.
     """
-    tiles = shade_tiles(scene, samples, options, plan=plan)
-    return samples.rows_in_sample_order(tiles)
+    return _shade(_in_sample_order, scene, samples, options, plan)
+
+
+def shade_slots(
+    scene: Scene, samples: SampleBuffer, options: LightingOptions | None = None, *, plan: Plan | None = None
+) -> Float[Array, "slots 4"]:
+    """`shade` in storage order, as it is computed: one row a slot of the buffer, padding included."""
+    return _shade(_slots, scene, samples, options, plan)
 
 
 def shade_planes(
     scene: Scene, samples: SampleBuffer, options: LightingOptions | None = None, *, plan: Plan | None = None
 ) -> Float[Array, "4 slots"]:
     """`shade` in storage order: planes red, green, blue, alpha, one column a slot of the buffer, padding included."""
-    tiles = shade_tiles(scene, samples, options, plan=plan)
-    return jnp.swapaxes(tiles, 0, 1).reshape(4, -1)
+    return _shade(_planes, scene, samples, options, plan)
 
 
 def shade_tiles(
     scene: Scene, samples: SampleBuffer, options: LightingOptions | None = None, *, plan: Plan | None = None
 ) -> Float[Array, "tiles 4 tile"]:
-    """`shade` as it is computed, tile by tile, padding included: the quickest form, for hot loops."""
+    """`shade` in storage order, planes tile by tile, padding included: the quickest form of derivatives."""
+    return _shade(_planes_by_tile, scene, samples, options, plan)
+
+
+def _in_sample_order(rows: Float[Array, "tiles tile 4"], samples: SampleBuffer) -> Float[Array, "samples 4"]:
+    return samples.in_sample_order(_slots(rows, samples), axis=0)
+
+
+def _slots(rows: Float[Array, "tiles tile 4"], samples: SampleBuffer) -> Float[Array, "slots 4"]:
+    return rows.reshape(-1, 4)
+
+
+def _planes(rows: Float[Array, "tiles tile 4"], samples: SampleBuffer) -> Float[Array, "4 slots"]:
+    return jnp.moveaxis(rows, -1, 0).reshape(4, -1)
+
+
+def _planes_by_tile(rows: Float[Array, "tiles tile 4"], samples: SampleBuffer) -> Float[Array, "tiles 4 tile"]:
+    return jnp.swapaxes(rows, 1, 2)
+
+
+_Form = Callable[[Array, SampleBuffer], Array]
+"""In which colours are given: a function of the rows of all tiles."""
+
+
+def _shade(
+    form: _Form, scene: Scene, samples: SampleBuffer, options: LightingOptions | None, plan: Plan | None
+) -> Array:
     check_samples(scene, samples)
     if plan is None:
         plan = make_plan(scene, samples, options)
     scene = _without_document(scene)
     if not _runs_alone_on_cpu(scene, samples):
-        return _shade_tiles(plan, scene, samples)
-    shares = shares_of(samples.slots)
-    if shares == 1:
-        return _shade_tiles_on_cpu(plan, scene, samples)
-    colors = in_threads(lambda number: _shade_share(scene, samples, plan, number, shares), shares)
-    return _joined(colors, tuple(run.stop - run.start for run in surface_runs(scene.surfaces, samples)), samples.tile)
+        return _shaded(form, plan, scene, samples)
+    runs, shares = surface_runs(scene.surfaces, samples), shares_of(samples.slots)
+    if shares == 1 or all(is_one_loop(run, scene, plan) for run in runs):
+        return _shaded_on_cpu(form, plan, scene, samples)
+    rows = in_threads(lambda number: _share_of_rows(plan, scene, samples, number, shares), shares)
+    return _joined(form, tuple(run.stop - run.start for run in runs), rows, samples)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _tiles_of(plan: Plan, scene: Scene, samples: SampleBuffer) -> Float[Array, "tiles 4 tile"]:
-    return _in_one(_colors_alone(plan, scene, samples, None), samples.tile, compute_dtype(samples))
+def _rows(plan: Plan, scene: Scene, samples: SampleBuffer) -> Float[Array, "tiles tile 4"]:
+    return _in_one(_rows_of_runs(plan, scene, samples, None), samples)
 
 
-def _tiles_of_jvp(plan: Plan, primals: Any, tangents: Any) -> Any:
+def _rows_jvp(plan: Plan, primals: Any, tangents: Any) -> Any:
     """Derivatives keep planes of all lights, and so have tiles of their own."""
     change, own = tangents
     planes = (own.position_planes, own.normal_planes, own.color_planes, own.texel_weight)
@@ -98,18 +131,21 @@ def _tiles_of_jvp(plan: Plan, primals: Any, tangents: Any) -> Any:
         # Joined at the very end, so that a loss of colours alone meets no image with alpha in reverse mode either.
         parts = zip(*runs, strict=True)
         whole = [jnp.concatenate([_in_tiles(planes, samples.tile) for planes in part]) for part in parts]
-        return jnp.concatenate(whole, axis=1) if runs else _in_one([], samples.tile, compute_dtype(samples))
+        return jnp.swapaxes(jnp.concatenate(whole, axis=1), 1, 2) if runs else _in_one([], samples)
 
     return with_change(in_fitting, primals, tangents)
 
 
-_tiles_of.defjvp(_tiles_of_jvp, symbolic_zeros=True)
+_rows.defjvp(_rows_jvp, symbolic_zeros=True)
 
 
-def _colors_alone(plan: Plan, scene: Scene, samples: SampleBuffer, share: Share | None) -> list[Array]:
+def _rows_of_runs(plan: Plan, scene: Scene, samples: SampleBuffer, share: Share | None) -> list[Array]:
     """The colours of all tiles or of a share of them, run by run."""
-    prepared, count = prepare(scene, samples, plan), 1 if plan.culled else samples.group
-    return [colors_of_run(run, prepared, samples, plan, count, share) for run in surface_runs(scene.surfaces, samples)]
+    prepared = prepare(scene, samples, plan)
+    return [
+        rows_of_run(run, prepared, samples, plan, share, one_loop=is_one_loop(run, scene, plan))
+        for run in surface_runs(scene.surfaces, samples)
+    ]
 
 
 def _in_tiles(planes: Float[Array, "tiles components smaller"], tile: int) -> Float[Array, "larger components tile"]:
@@ -119,26 +155,30 @@ def _in_tiles(planes: Float[Array, "tiles components smaller"], tile: int) -> Fl
     return jnp.swapaxes(planes.reshape(-1, tile // smaller, components, smaller), 1, 2).reshape(-1, components, tile)
 
 
-def _in_one(runs: list[Array], tile: int, dtype: jnp.dtype) -> Float[Array, "tiles 4 tile"]:
+def _in_one(runs: list[Array], samples: SampleBuffer) -> Float[Array, "tiles tile 4"]:
     if not runs:
-        return jnp.zeros((0, 4, tile), dtype)
+        return jnp.zeros((0, samples.tile, 4), compute_dtype(samples))
     return jnp.concatenate(runs) if len(runs) > 1 else runs[0]
 
 
-_shade_tiles = jax.jit(_tiles_of, static_argnums=0)
-_shade_tiles_on_cpu = jit_on_cpu(_tiles_of, static_argnums=0)
+def _formed(form: _Form, plan: Plan, scene: Scene, samples: SampleBuffer) -> Array:
+    return form(_rows(plan, scene, samples), samples)
 
 
-@partial(jit_on_cpu, static_argnames=("plan", "shares"))
-def _shade_share(scene: Scene, samples: SampleBuffer, plan: Plan, number: Int[Array, ""], shares: int) -> list[Array]:
-    return _colors_alone(plan, scene, samples, Share(number, shares))
+_shaded = jax.jit(_formed, static_argnums=(0, 1))
+_shaded_on_cpu = jit_on_cpu(_formed, static_argnums=(0, 1))
 
 
-@partial(jax.jit, static_argnames=("lengths", "tile"))
-def _joined(shares: list[list[Array]], lengths: tuple[int, ...], tile: int) -> Array:
-    """`_shade_tiles` from all shares of runs of so many tiles."""
+@partial(jit_on_cpu, static_argnums=(0, 4))
+def _share_of_rows(plan: Plan, scene: Scene, samples: SampleBuffer, number: Int[Array, ""], shares: int) -> list[Array]:
+    return _rows_of_runs(plan, scene, samples, Share(number, shares))
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _joined(form: _Form, lengths: tuple[int, ...], shares: list[list[Array]], samples: SampleBuffer) -> Array:
+    """`_shaded` from all shares of runs of so many tiles."""
     runs = [joined_shares(list(run), length) for run, length in zip(zip(*shares, strict=True), lengths, strict=True)]
-    return _in_one(runs, tile, shares[0][0].dtype)
+    return form(_in_one(runs, samples), samples)
 
 
 def _runs_alone_on_cpu(scene: Scene, samples: SampleBuffer) -> bool:

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from ..raster.samples import SampleBuffer
 from ..scene import Scene, Surface
-from .one_tile import Color, Run, tile_color
+from .one_tile import Color, Run, rows_of_tiles, tile_color
 from .plan import Plan
 from .prepared import Prepared, compute_dtype, on_one_lane
 from .stages import LARGEST_PLANE, PLANE
@@ -24,6 +24,10 @@ from .surface import sampled_texture
 
 SMALLEST_TILE = 512
 """Samples of a tile that is split because there are many lights."""
+
+VERY_FEW = 4
+"""Lights under which the samples of a run are evaluated in one loop: tile by tile, what a step of the loop over tiles
+costs, and to put its colours where they belong, is as much as half of the loop over samples."""
 
 
 def surface_runs(surfaces: tuple[Surface, ...], samples: SampleBuffer) -> list[Run]:
@@ -69,18 +73,15 @@ def in_fitting_tiles(scene: Scene, samples: SampleBuffer, plan: Plan) -> SampleB
 
 def _most_lights(scene: Scene, plan: Plan) -> int | None:
     """Of the kind with most lights their number, at least 1; None if only those near a tile are evaluated."""
-    most = 1
-    for group, light_plan in (
-        (scene.directional, plan.directional),
-        (scene.point, plan.point),
-        (scene.spot, plan.spot),
-    ):
-        if group is None or light_plan is None:
-            continue
-        if light_plan.culled:
-            return None
-        most = max(most, len(group.names) if light_plan.rows is None else len(light_plan.rows))
-    return most
+    return None if plan.culled else max(1, *_lights_by_kind(scene, plan))
+
+
+def _lights_by_kind(scene: Scene, plan: Plan) -> list[int]:
+    """How many lights of each kind the plan keeps."""
+    return [
+        0 if group is None or kept is None else len(group.names if kept.rows is None else kept.rows)
+        for group, kept in zip((scene.directional, scene.point, scene.spot), plan.lights, strict=True)
+    ]
 
 
 class Share(NamedTuple):
@@ -95,28 +96,47 @@ class Share(NamedTuple):
         return jnp.minimum(self.number * length, steps - length) + jnp.arange(length)
 
 
-def joined_shares(colors: list[Array], tiles: int) -> Float[Array, "tiles 4 tile"]:
+def joined_shares(rows: list[Array], tiles: int) -> Float[Array, "tiles tile 4"]:
     """The colours of all tiles of a run from those of its shares, without what they have twice."""
-    length = colors[0].shape[0]
-    twice = [max(0, number * length - (tiles - length)) for number in range(len(colors))]
-    return jnp.concatenate([share[skipped:] for share, skipped in zip(colors, twice, strict=True)])
+    length = rows[0].shape[0]
+    twice = [max(0, number * length - (tiles - length)) for number in range(len(rows))]
+    return jnp.concatenate([share[skipped:] for share, skipped in zip(rows, twice, strict=True)])
 
 
-def colors_of_run(
-    run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, count: int, share: Share | None = None
-) -> Float[Array, "tiles 4 tile"]:
-    """Red, green, blue and alpha of the tiles of a run or of a share of them, `count` tiles at once."""
+def is_one_loop(run: Run, scene: Scene, plan: Plan) -> bool:
+    """Whether all samples of a run are evaluated in one loop, of which XLA gives each core a part.
 
-    def planes_of(color: Color) -> Array:
-        return _by_tile(jnp.concatenate([color.rgb, color.alpha[None]]), samples.tile)
+    Texels are gathered tile by tile.
+    """
+    if plan.culled or run.surface.textured:
+        return False
+    return run.surface.lighting != "lit" or sum(_lights_by_kind(scene, plan)) <= VERY_FEW
 
-    return _of_run(planes_of, run, prepared, samples, plan, count, share).reshape(-1, 4, samples.tile)
+
+def rows_of_run(
+    run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, share: Share | None, *, one_loop: bool
+) -> Float[Array, "tiles tile 4"]:
+    """Red, green, blue and alpha of the tiles of a run or of a share of them; not to be differentiated."""
+    single, count = on_one_lane(prepared), 1 if plan.culled else samples.group
+    steps = (run.stop - run.start) // count
+    numbers = jnp.arange(steps) if share is None else share.of(steps)
+    if one_loop:
+        first = run.start if share is None else run.start + numbers[0] * count
+        rows = rows_of_tiles(run, single, samples, plan, first, numbers.shape[0] * count)
+    else:
+
+        def step(_: None, first: Array) -> tuple[None, Array]:
+            return None, rows_of_tiles(run, single, samples, plan, first, count)
+
+        rows = lax.scan(step, None, run.start + numbers * count)[1]
+    return rows.reshape(-1, samples.tile, 4)
 
 
 def color_and_alpha_of_run(
     run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, count: int, *, by_images: bool
 ) -> tuple[Float[Array, "tiles 3 tile"], Float[Array, "tiles 1 tile"]]:
-    """`colors_of_run` with alpha apart, as small as it may be: what is kept for its derivatives is as small then.
+    """Colours of the tiles of a run, `count` at once, and alpha apart, as small as it may be, and what is kept for its
+    derivatives with it.
 
     `by_images`: derivatives by samples or textures are asked for.
     """
@@ -145,16 +165,13 @@ def _of_run(
     samples: SampleBuffer,
     plan: Plan,
     count: int,
-    share: Share | None = None,
 ) -> Any:
     body, single = _body(planes_of, run, plan, count), on_one_lane(prepared)
 
     def step(_: None, index: Array) -> tuple[None, Any]:
         return None, body(index, prepared, single, samples)
 
-    steps = (run.stop - run.start) // count
-    indices = run.start // count + (jnp.arange(steps) if share is None else share.of(steps))
-    return lax.scan(step, None, indices)[1]
+    return lax.scan(step, None, jnp.arange(run.start // count, run.stop // count))[1]
 
 
 def _of_parts_of_run(

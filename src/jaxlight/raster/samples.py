@@ -172,14 +172,15 @@ class SampleBuffer(eqx.Module):
             height=height,
         )
 
-    def in_sample_order(self, slots: Array) -> Array:
-        """[..., slots] -> [..., N]: padding dropped, samples in the order in which they were given."""
-        return slots[..., : self.count] if self.slot is None else jnp.take(slots, self.slot, axis=-1)
+    def in_sample_order(self, slots: Array, axis: int = -1) -> Array:
+        """[..., slots, ...] -> [..., N, ...] along an axis: padding dropped, samples in the order given."""
+        if self.slot is not None:
+            return jnp.take(slots, self.slot, axis=axis)
+        return lax.slice_in_dim(slots, 0, self.count, axis=axis)
 
     def rows_in_sample_order(self, planes: Array) -> Array:
         """[tiles, components, tile], or blocks, -> [N, components]: padding dropped, samples in the order given."""
-        rows = jnp.swapaxes(planes, 1, 2).reshape(-1, planes.shape[1])
-        return rows[: self.count] if self.slot is None else jnp.take(rows, self.slot, axis=0)
+        return self.in_sample_order(jnp.swapaxes(planes, 1, 2).reshape(-1, planes.shape[1]), axis=0)
 
     def with_rows(
         self, *, position: Array | None = None, normal: Array | None = None, color: Array | None = None
