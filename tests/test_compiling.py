@@ -53,3 +53,15 @@ def test_loops_over_samples_are_not_part_of_a_larger_function(lights: int) -> No
     text = jax.jit(partial(shade_tiles, scene)).lower(samples).compile().as_text() or ""
     assert "while" in text
     assert "small_call" not in text
+
+
+@pytest.mark.parametrize("scale", [(2, 2, 2), (1, 2, 0.5)])
+def test_xla_finds_an_end_in_simplifying_lights_of_a_scaled_frame(
+    scale: tuple[float, float, float], capfd: pytest.CaptureFixture[str]
+) -> None:
+    shape = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material(specular_color=(0.5,) * 3)))
+    lamp = nodes.SpotLight(location=(0, 0, 1), ambient_intensity=0.1, attenuation=(1, 0.1, 0.2))
+    scene = Scene.from_nodes([shape, nodes.Transform(scale=scale, translation=(0, 0.1, 0), children=[lamp])])
+    points = np.random.default_rng(3).normal(size=(3000, 3))
+    jax.jit(partial(shade_tiles, scene)).lower(SampleBuffer.create(points, points, [0, 0, 6])).compile()
+    assert "circular simplification" not in capfd.readouterr().err

@@ -80,6 +80,18 @@ def lights_in_world(
     lanes: int,
 ) -> WorldLights:
     """The lights that the plan keeps, in world space, in the given float type."""
+    # Spread over lanes at the end: XLA takes long over what is computed on all of them and read on one.
+    single = _on_one_lane(lights, plan, dtype, camera_to_world)
+    spread = jax.tree.map(lambda plane: jnp.broadcast_to(plane, (*plane.shape[:-1], lanes)), single)
+    return dataclasses.replace(spread, to_local=single.to_local)
+
+
+def _on_one_lane(
+    lights: DirectionalLights | PointLights | SpotLights,
+    plan: LightPlan,
+    dtype: jnp.dtype,
+    camera_to_world: Float[Array, "3 3"] | None,
+) -> WorldLights:
     keep = jnp.asarray(plan.rows, dtype=jnp.int32) if plan.rows is not None else slice(None)
 
     def field(values: Array) -> Array:
@@ -87,13 +99,13 @@ def lights_in_world(
 
     def planes(values: Array) -> Vector:
         rows = field(values)
-        return Vector(*(on_lanes(rows[:, i], lanes) for i in range(3)))
+        return Vector(*(on_lanes(rows[:, i], 1) for i in range(3)))
 
     to_world = lights.to_world[keep].astype(dtype)
     linear = matrix_of(to_world[:, None, None, :, :3])
-    color = on_lanes(field(lights.color).T, lanes)
-    intensity = on_lanes(field(lights.intensity), lanes)
-    ambient = on_lanes(field(lights.ambient_intensity), lanes) if plan.ambient else None
+    color = on_lanes(field(lights.color).T, 1)
+    intensity = on_lanes(field(lights.intensity), 1)
+    ambient = on_lanes(field(lights.ambient_intensity), 1) if plan.ambient else None
 
     def world_direction(values: Array) -> Vector:
         # Normalised in its own frame first: it may be of any length, and its derivative along itself is exactly 0.
@@ -123,7 +135,7 @@ def lights_in_world(
         coefficients = (c1, c2, c3 if plan.attenuation == "quadratic" else jnp.zeros_like(c3))
     scale = None
     if plan.frame == "similarity":
-        scale = unit(Vector(*(on_lanes(to_world[:, i, 0], lanes) for i in range(3))))[1]
+        scale = unit(Vector(*(on_lanes(to_world[:, i, 0], 1) for i in range(3))))[1]
     return WorldLights(
         color=color,
         intensity=intensity,
@@ -135,12 +147,12 @@ def lights_in_world(
         unit_length=scale,
         attenuation=coefficients,
         # Distances are rounded: a sample at the radius is lit all the same.
-        radius=lax.stop_gradient(on_lanes(field(lights.radius), lanes)) * (1 + 4 * jnp.finfo(dtype).eps)
+        radius=lax.stop_gradient(on_lanes(field(lights.radius), 1)) * (1 + 4 * jnp.finfo(dtype).eps)
         if plan.radius
         else None,
         axis=world_direction(lights.direction) if spot else None,
-        beam_width=on_lanes(field(lights.beam_width), lanes) if spot else None,
-        cut_off_angle=on_lanes(field(lights.cut_off_angle), lanes) if spot else None,
+        beam_width=on_lanes(field(lights.beam_width), 1) if spot else None,
+        cut_off_angle=on_lanes(field(lights.cut_off_angle), 1) if spot else None,
     )
 
 
