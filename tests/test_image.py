@@ -119,6 +119,7 @@ def test_resolve_sums_what_lies_in_a_pixel() -> None:
     expected[0, 2], expected[1, 0] = values[3], values[6]
     np.testing.assert_allclose(resolve(values, samples), expected, atol=1e-6)
     np.testing.assert_allclose(resolve(values[:, 0], samples), expected[..., 0], atol=1e-6)
+    np.testing.assert_allclose(resolve(values.astype(int), samples), expected, atol=1e-6)
     with pytest.raises(ValueError, match=r"expected values of shape \[7, channels\], got \[6, 2\]"):
         resolve(values[:6], samples)
 

@@ -133,6 +133,7 @@ def samples() -> SampleBuffer:
 
 LIGHTS = {
     "none": [],
+    "few of all kinds": [*lights_of("directional", 1), *lights_of("point", 2), *lights_of("spot", 1)],
     "all kinds in one loop": [*lights_of("directional", 2), *lights_of("point", 3), *lights_of("spot", 3)],
     "more than one loop holds": [*lights_of("point", 11), *lights_of("directional", 5)],
     "lists of spots": lights_of("spot", 40),
@@ -166,6 +167,31 @@ def test_a_tile_under_few_lights_is_one_loop(samples: SampleBuffer) -> None:
     assert program is not None
     assert program.count(" map(") == 2
     assert "stage.seen" not in program and "stage.weights" not in program
+
+
+@pytest.mark.parametrize("bits", ["float32", "float64"])
+@pytest.mark.parametrize("by_place", [False, True])
+def test_all_blocks_of_all_surfaces_under_few_lights_are_one_loop(bits: str, by_place: bool) -> None:
+    """Each block in the material of its surface, under the lights that have this in their scope."""
+    random = np.random.default_rng(9)
+    groups = []
+    for sun in lights_of("directional", 3):
+        material = nodes.Material(diffuse_color=random.uniform(0.3, 1, 3), transparency=random.uniform(0, 1))
+        groups.append(nodes.Group(children=[nodes.Shape(appearance=nodes.Appearance(material=material)), sun]))
+    place, normal = random.uniform([-2, -2, -0.2], [2, 2, 0.2], (COUNT, 3)), random.normal(size=(COUNT, 3))
+    surface = random.integers(0, 3, COUNT)
+    with precision(bits):
+        scene = Scene.from_nodes([*groups, *lights_of("point", 1)])
+        samples = SampleBuffer.create(place, normal, [0.5, 0.2, 4], surface=surface, tile=32, by_place=by_place)
+        assert samples.group > 1 and samples.slots > 3 * samples.group * samples.tile
+        program = jax.jit(shade).lower(scene, samples).compile().as_text()
+        assert program is not None and " while(" not in program
+        together = np.asarray(shade(scene, samples))
+        for row in range(3):
+            of_row = surface == row
+            alone = SampleBuffer.create(place[of_row], normal[of_row], [0.5, 0.2, 4], surface=row)
+            np.testing.assert_allclose(together[of_row], shade(scene, alone), rtol=1e-6, atol=1e-7)
+            assert np.std(together[of_row], axis=0)[:3].min() > 0.01
 
 
 def test_gradients_by_places_of_lights_are_one_loop(samples: SampleBuffer) -> None:

@@ -24,7 +24,7 @@ COUNT = 5000
 
 
 def scene_with_lights(count: int, *, lamps: bool = True) -> Scene:
-    """Two shapes under `count` DirectionalLights and as many PointLights."""
+    """Two lit shapes and one that is not under `count` DirectionalLights and as many PointLights."""
     random = np.random.default_rng(3)
     shapes = [
         nodes.Shape(
@@ -36,17 +36,18 @@ def scene_with_lights(count: int, *, lamps: bool = True) -> Scene:
     points = [
         nodes.PointLight(location=np.array([0, 0, 2]) + random.normal(size=3), intensity=0.1) for _ in range(count)
     ]
-    return Scene.from_nodes([*shapes, *suns, *(points if lamps else [])])
+    unlit = nodes.Shape(geometry=nodes.IndexedFaceSet(color=nodes.Color(color=np.ones((1, 3)))))
+    return Scene.from_nodes([*shapes, unlit, *suns, *(points if lamps else [])])
 
 
 def samples_in_tiles(tile: int) -> SampleBuffer:
-    """Random samples of both shapes, each with a colour of its own."""
+    """Random samples of all shapes, each with a colour of its own."""
     random = np.random.default_rng(4)
     return SampleBuffer.create(
         random.uniform(-1, 1, (COUNT, 3)),
         np.array([0, 0, 3]) + random.normal(size=(COUNT, 3)),
         [0, 0, 6],
-        surface=random.integers(0, 2, COUNT),
+        surface=random.integers(0, 3, COUNT),
         color=random.uniform(0, 1, (COUNT, 3)),
         tile=tile,
     )
@@ -81,7 +82,7 @@ def test_split_tiles_change_no_colour_and_no_derivative() -> None:
         np.testing.assert_allclose(ours, other, rtol=2e-5, atol=2e-5 * (float(np.abs(other).max()) + 1))
 
 
-@pytest.mark.parametrize(("lights", "shares", "bits"), [(1, 2, "float32"), (1, 5, "float64"), (20, 3, "float32")])
+@pytest.mark.parametrize(("lights", "shares", "bits"), [(3, 2, "float32"), (3, 5, "float64"), (20, 3, "float32")])
 def test_several_cores_change_no_colour(
     monkeypatch: pytest.MonkeyPatch,
     several_cores: Callable[[str, int], list[int]],
@@ -89,14 +90,23 @@ def test_several_cores_change_no_colour(
     shares: int,
     bits: str,
 ) -> None:
-    """Shares of the tiles, side by side; runs of few tiles have fewer than there are shares."""
+    """Shares of the tiles, side by side; runs of few tiles have fewer than there are shares.
+
+    Samples that are not lit are one loop, the others are evaluated tile by tile.
+    """
     threads = several_cores("jaxlight.lighting.shade", shares)
     with precision(bits) as dtype:
-        scene, samples = scene_with_lights(lights), samples_in_tiles(1024)
+        scene, samples = scene_with_lights(lights), samples_in_tiles(256)
         side_by_side = shade_tiles(scene, samples)
         assert threads == [shares] and side_by_side.dtype == dtype
         monkeypatch.setattr(cores, "cores", lambda: 1)
         np.testing.assert_array_equal(side_by_side, shade_tiles(scene, samples))
+
+
+def test_what_is_one_loop_is_shared_out_by_the_compiler(several_cores: Callable[[str, int], list[int]]) -> None:
+    threads = several_cores("jaxlight.lighting.shade", 2)
+    assert np.all(np.isfinite(shade_tiles(scene_with_lights(2), samples_in_tiles(1024))))
+    assert threads == []
 
 
 def test_few_samples_are_not_worth_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..lighting.compiling import quick_jit
 from ..raster import SampleBuffer
 from ..scene import Scene
 
@@ -28,8 +29,18 @@ def sky(scene: Scene, samples: SampleBuffer) -> Float[Array, "3"] | Float[Array,
     if stops == 1 or samples.pixel_to_world is None or samples.width is None or samples.height is None:
         return jnp.asarray(node.sky_color[0], dtype)
     angles = np.maximum.accumulate(np.array([0.0, *node.sky_angle[: stops - 1]]))
+    colors = np.asarray(node.sky_color[:stops])
+    return _by_angle(samples, jnp.asarray(angles, dtype), jnp.asarray(colors, dtype))
+
+
+@quick_jit
+def _by_angle(
+    samples: SampleBuffer, angles: Float[Array, " stops"], colors: Float[Array, "stops 3"]
+) -> Float[Array, "height width 3"]:
+    """The colours between stops at so many radians from the zenith, along the rays of the pixels' centres."""
+    assert samples.pixel_to_world is not None and samples.width is not None and samples.height is not None
+    dtype = colors.dtype
     u, v = jnp.arange(samples.width, dtype=dtype) + 0.5, jnp.arange(samples.height, dtype=dtype)[:, None] + 0.5
     x, y, z = (row[0] * u + row[1] * v + row[2] for row in samples.pixel_to_world)
     from_zenith = jnp.arctan2(jnp.hypot(x, z), y)
-    channels = [jnp.interp(from_zenith, jnp.asarray(angles, dtype), node.sky_color[:stops, i]) for i in range(3)]
-    return jnp.stack(channels, axis=-1).astype(dtype)
+    return jnp.stack([jnp.interp(from_zenith, angles, colors[:, i]) for i in range(3)], axis=-1)

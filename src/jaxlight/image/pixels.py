@@ -7,7 +7,8 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..lighting import LightingOptions, Plan, shade_planes
+from ..lighting import LightingOptions, Plan, shade_slots
+from ..lighting.compiling import quick_jit
 from ..lighting.shade import check_samples
 from ..raster import SampleBuffer
 from ..scene import Scene
@@ -38,10 +39,7 @@ def render(
     behind = sky(scene, samples)
     if samples.count == 0:
         return jnp.broadcast_to(behind, (samples.height, samples.width, 3))
-    shaded = shade_planes(scene, samples, options, plan=plan)
-    seen = shaded.at[:3].multiply(shaded[3])
-    picture = _resolved(seen, samples)
-    return picture[..., :3] + (1 - picture[..., 3:]) * behind
+    return _over(shade_slots(scene, samples, options, plan=plan), behind, samples)
 
 
 def resolve(values: Any, samples: SampleBuffer) -> Float[Array, "height width channels"]:
@@ -61,21 +59,37 @@ def resolve(values: Any, samples: SampleBuffer) -> Float[Array, "height width ch
     values = jnp.asarray(values)
     if values.ndim not in (1, 2) or values.shape[0] != samples.count:
         raise ValueError(f"resolve: expected values of shape [{samples.count}, channels], got {list(values.shape)}")
-    planes = jnp.atleast_2d(values.T)
-    slots = samples.slots
-    place = jnp.arange(samples.count) if samples.slot is None else samples.slot
-    stored = jnp.zeros((planes.shape[0], slots), planes.dtype).at[:, place].set(planes)
-    picture = _resolved(stored, samples)
+    values = values.astype(jnp.result_type(values, float))
+    rows = values if values.ndim == 2 else values[:, None]
+    picture = _of_samples(rows, samples)
     return picture if values.ndim == 2 else picture[..., 0]
 
 
-def _resolved(planes: Array, samples: SampleBuffer) -> Array:
-    """[channels, slots] -> [height, width, channels]. Padding falls into one pixel too many, which is cut off."""
+@quick_jit
+def _over(
+    shaded: Float[Array, "slots 4"], behind: Float[Array, "3"] | Float[Array, "height width 3"], samples: SampleBuffer
+) -> Float[Array, "height width 3"]:
+    rgb, alpha = shaded[:, :3], shaded[:, 3:]
+    picture = _summed(jnp.concatenate([alpha * rgb, alpha], axis=1), samples)
+    return picture[..., :3] + (1 - picture[..., 3:]) * behind
+
+
+@quick_jit
+def _of_samples(
+    values: Float[Array, "samples channels"], samples: SampleBuffer
+) -> Float[Array, "height width channels"]:
+    place = slice(samples.count) if samples.slot is None else samples.slot
+    slots = jnp.zeros((samples.slots, values.shape[1]), values.dtype).at[place].set(values)
+    return _summed(slots, samples)
+
+
+def _summed(rows: Float[Array, "slots channels"], samples: SampleBuffer) -> Float[Array, "height width channels"]:
+    """Padding falls into one pixel too many, which is cut off."""
     width, height = samples.width or 0, samples.height or 0
     if samples.coverage_slots is not None:
-        planes = planes * samples.coverage_slots.astype(planes.dtype)
-    pixels = jnp.zeros((planes.shape[0], height * width + 1), planes.dtype).at[:, samples.pixel_slots].add(planes)
-    return jnp.moveaxis(pixels[:, :-1].reshape(-1, height, width), 0, -1)
+        rows = rows * samples.coverage_slots.astype(rows.dtype)[:, None]
+    pixels = jnp.zeros((height * width + 1, rows.shape[1]), rows.dtype).at[samples.pixel_slots].add(rows)
+    return pixels[:-1].reshape(height, width, -1)
 
 
 def _check_pixels(samples: SampleBuffer) -> None:
