@@ -19,7 +19,7 @@ from jaxlight.fit.fitting import run_fit
 from jaxlight.fit.problem import Description, Problem, make_problem
 from jaxlight.fit.run import advance, begin, make_solver, solve
 from jaxlight.fit.uncertainty import uncertainty
-from jaxlight.lighting import make_plan, shade_planes
+from jaxlight.lighting import make_plan, shade_slots
 
 from .contenders.jaxlight_shade import samples_of, scene_of
 from .fit_problem import WORK, with_values
@@ -141,7 +141,7 @@ def cost(options: Options) -> str:
     problem, _ = make_problem(scene, View(samples, target), EVERYTHING)
     solver = make_solver(problem)
     state = advance(problem, solver, begin(problem, solver))
-    forward = processor_seconds(lambda: shade_planes(scene, samples, plan=plan))
+    forward = processor_seconds(lambda: shade_slots(scene, samples, plan=plan))
     step = processor_seconds(lambda: advance(problem, solver, state))
     numbers = len(problem.parameters.start)
     return table(

@@ -201,7 +201,7 @@ def test_fits_start_away_from_the_truth_and_are_judged_by_it() -> None:
 @pytest.mark.parametrize(
     ("lights", "operation", "names"),
     [
-        (1, "forward", ["rgb"]),
+        (1, "forward", ["colors"]),
         (9, "forward", ["directions", "received|no stage: while", "mixed"]),
         (1, "value_and_gradient", ["seen", "power", "colored", "seen.change (reverse)"]),
     ],

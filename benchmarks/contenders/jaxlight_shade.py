@@ -1,4 +1,4 @@
-"""jaxlight by its public functions: nodes to Scene, rows to SampleBuffer, `shade_tiles`, JAX's transformations."""
+"""jaxlight by its public functions: nodes to Scene, rows to SampleBuffer, shading, JAX's transformations."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlight.lighting import LightingOptions, Plan, compiler_options, make_plan, shade_tiles
+from jaxlight.lighting import LightingOptions, Plan, compiler_options, make_plan, shade_slots, shade_tiles
 from jaxlight.raster import SampleBuffer
 from jaxlight.scene import Scene, nodes
 
@@ -119,7 +119,7 @@ class JaxlightShade(Contender):
 
         # Called as a user does, outside jit: the library compiles for itself, here.
         def run() -> Any:
-            return jax.block_until_ready(shade_tiles(self._scene, self._samples, plan=plan))
+            return jax.block_until_ready(shade_slots(self._scene, self._samples, plan=plan))
 
         run()
         return run
@@ -141,7 +141,7 @@ class JaxlightShade(Contender):
             return jnp.sum(squared if weight is None else squared * weight)
 
         def colors(scene: Scene, samples: SampleBuffer) -> Any:
-            return shade_tiles(scene, samples, plan=plan)
+            return shade_slots(scene, samples, plan=plan)
 
         if operation == "forward":
             arguments: tuple[Any, ...] = (self._scene, self._samples)
@@ -152,7 +152,7 @@ class JaxlightShade(Contender):
         return lambda: jax.block_until_ready(program(*arguments)), program.as_text() or ""
 
     def colors(self, result: Any) -> np.ndarray:
-        return np.asarray(self._samples.rows_in_sample_order(result)).T[:3]
+        return np.asarray(self._samples.in_sample_order(result, axis=0)).T[:3]
 
     def value_and_gradient(self, result: Any) -> ValueAndGradient:
         value, (gradient, _) = result
