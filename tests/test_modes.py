@@ -186,3 +186,36 @@ def test_derivatives_agree_in_every_mode() -> None:
         forward_over_reverse = jax.jit(along(jax.grad(value)))(scene)
         close(jax.jit(jax.grad(along(value)))(scene), forward_over_reverse, tolerance)
         np.testing.assert_allclose(jax.jit(along(along(value)))(scene), dotted(forward_over_reverse), rtol=tolerance)
+
+
+@pytest.mark.parametrize(("lights", "radius"), [(2, 100.0), (9, 100.0), (40, 0.5)])
+def test_derivatives_of_mapped_samples_are_those_of_each(lights: int, radius: float) -> None:
+    """Few lights, in one loop; more, tile by tile; and lists of them."""
+    random = np.random.default_rng(3)
+    places = random.uniform([-1, -1, 0.5], [1, 1, 1.5], (lights, 3))
+    shape = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material(specular_color=(0.4, 0.5, 0.6))))
+    scene = Scene.from_nodes([shape, *(nodes.PointLight(location=place, radius=radius) for place in places)])
+    buffers = [
+        SampleBuffer.create(random.uniform([-1, -1, 0], [1, 1, 0.2], (300, 3)), [(0, 0, 1)] * 300, EYE, tile=64)
+        for _ in range(3)
+    ]
+    plan = make_plan(scene, buffers[0], free=True)
+    assert scene.materials is not None and plan.point is not None and plan.point.culled == (lights == 40)
+    together = jax.tree.map(lambda *leaves: jnp.stack(leaves), *buffers)
+
+    def color_of(color: jax.Array, samples: SampleBuffer) -> jax.Array:
+        moved = jax.tree.map(lambda leaf: color if leaf is scene.materials.specular_color else leaf, scene)
+        return shade(moved, samples, plan=plan)
+
+    def mapped(color: jax.Array) -> jax.Array:
+        return jax.vmap(jax.jit(color_of), in_axes=(None, 0))(color, together)
+
+    def one_by_one(color: jax.Array) -> jax.Array:
+        return jnp.stack([color_of(color, samples) for samples in buffers])
+
+    color, step = scene.materials.specular_color, jnp.asarray([[0.3, -0.2, 0.5]])
+    found, wanted = (jax.jvp(function, (color,), (step,)) for function in (mapped, one_by_one))
+    assert float(jnp.max(jnp.abs(wanted[1]))) > 0.01
+    close(found, wanted, 1e-5)
+    slopes = [jax.grad(lambda color, of=of: jnp.sum(of(color) ** 2))(color) for of in (mapped, one_by_one)]
+    close(slopes[0], slopes[1], 1e-5)

@@ -22,6 +22,7 @@ from ..scene import Surface
 from .changes import with_change
 from .culling import Extent, received_from_near
 from .highlight import highlight_of
+from .mapped import mapped_axis_first
 from .ordinary import for_all_mapped
 from .plan import LightPlan, Plan
 from .prepared import Prepared, compute_dtype, lanes_of, material_row, on_one_lane, viewer_of
@@ -139,13 +140,13 @@ def _tile_color(
 ) -> Color:
     always = _always(how, samples, index)
     lanes = lanes_of(samples) if how.plan.culled else samples.tile * how.count
-    return _color(SampleLoops(always, lanes=lanes), how, single, samples, texel, index, lanes)
+    return mapped_axis_first(_color(SampleLoops(always, lanes=lanes), how, single, samples, texel, index, lanes))
 
 
 def _tile_color_jvp(how: How, primals: Any, tangents: Any) -> tuple[Color, Color]:
     def in_stages(prepared: Prepared, samples: SampleBuffer, texel: Array | None, index: Array) -> Color:
         stage = Stage(_always(how, samples, index), how.forward)
-        return _color(stage, how, prepared, samples, texel, index, lanes_of(samples))
+        return mapped_axis_first(_color(stage, how, prepared, samples, texel, index, lanes_of(samples)))
 
     (prepared, _, *others), (change, _, *other_changes) = primals, tangents
     return with_change(in_stages, (prepared, *others), (change, *other_changes))

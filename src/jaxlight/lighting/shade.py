@@ -17,6 +17,7 @@ from ..scene.checks import check_scene
 from .changes import moves, with_change
 from .compiling import is_traced, jit_on_cpu
 from .cores import in_threads, shares_of
+from .mapped import mapped_axis_first
 from .options import LightingOptions
 from .plan import Plan, make_plan
 from .prepared import compute_dtype, prepare
@@ -112,7 +113,7 @@ def _shade(
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _rows(plan: Plan, scene: Scene, samples: SampleBuffer) -> Float[Array, "tiles tile 4"]:
-    return _in_one(_rows_of_runs(plan, scene, samples, None), samples)
+    return mapped_axis_first(_in_one(_rows_of_runs(plan, scene, samples, None), samples))
 
 
 def _rows_jvp(plan: Plan, primals: Any, tangents: Any) -> Any:
@@ -131,7 +132,8 @@ def _rows_jvp(plan: Plan, primals: Any, tangents: Any) -> Any:
         # Joined at the very end, so that a loss of colours alone meets no image with alpha in reverse mode either.
         parts = zip(*runs, strict=True)
         whole = [jnp.concatenate([_in_tiles(planes, samples.tile) for planes in part]) for part in parts]
-        return jnp.swapaxes(jnp.concatenate(whole, axis=1), 1, 2) if runs else _in_one([], samples)
+        rows = jnp.swapaxes(jnp.concatenate(whole, axis=1), 1, 2) if runs else _in_one([], samples)
+        return mapped_axis_first(rows)
 
     return with_change(in_fitting, primals, tangents)
 
