@@ -1,4 +1,4 @@
-"""Tiles are split under many lights: the same samples in the same places, with the same colours and derivatives."""
+"""Tiles of any size: the same colours and derivatives, whoever evaluates them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from jaxlight.fit import View
 from jaxlight.fit.normal import loss_and_gradient
 from jaxlight.fit.problem import make_problem
 from jaxlight.lighting import cores, make_plan, shade, shade_tiles
-from jaxlight.lighting.tiles import in_fitting_tiles
 from jaxlight.raster import SampleBuffer
 
 COUNT = 5000
@@ -53,18 +52,7 @@ def samples_in_tiles(tile: int) -> SampleBuffer:
     )
 
 
-@pytest.mark.parametrize(("lights", "tile"), [(9, 1024), (17, 512), (33, 512), (64, 512)])
-def test_tiles_are_as_large_as_the_planes_of_all_lights_allow(lights: int, tile: int) -> None:
-    scene, samples = scene_with_lights(lights), samples_in_tiles(1024)
-    assert in_fitting_tiles(scene, samples, make_plan(scene, samples, free=True)).tile == tile
-
-
-def test_under_very_many_lights_tiles_stay() -> None:
-    scene, samples = scene_with_lights(65, lamps=False), samples_in_tiles(1024)
-    assert in_fitting_tiles(scene, samples, make_plan(scene, samples, free=True)) is samples
-
-
-def test_split_tiles_change_no_colour_and_no_derivative() -> None:
+def test_the_size_of_tiles_changes_no_colour_and_no_derivative() -> None:
     scene = scene_with_lights(20)
     large, small = samples_in_tiles(1024), samples_in_tiles(256)
     assert shade_tiles(scene, large).shape == (large.slots // 1024, 4, 1024)
@@ -124,12 +112,12 @@ def test_what_fails_in_a_thread_is_raised() -> None:
         cores.in_threads(fail, 2)
 
 
-def test_a_fit_in_split_tiles_hears_every_sample() -> None:
+def test_a_fit_hears_every_sample_in_tiles_of_any_size() -> None:
     scene, target = scene_with_lights(20), np.random.default_rng(5).uniform(0, 1, (COUNT, 3))
     of = []
     for tile in (1024, 512):
         problem, _ = make_problem(scene, View(samples_in_tiles(tile), target), ["Material[0].diffuseColor"])
-        assert problem.views[0].samples.tile == 512
+        assert problem.views[0].samples.tile == tile
         of.append(loss_and_gradient(problem, problem.parameters.start))
     np.testing.assert_allclose(of[0][0], of[1][0], rtol=1e-6)
     np.testing.assert_allclose(of[0][1], of[1][1], rtol=1e-5)

@@ -14,7 +14,6 @@ from jaxtyping import Array, Float, Int
 
 from ..lighting import LightingOptions, make_plan
 from ..lighting.shade import check_samples
-from ..lighting.tiles import in_fitting_tiles
 from ..scene.checks import check_scene
 from ..scene.fields import positive
 from ..scene.flags import Flags
@@ -144,14 +143,14 @@ def _signal(view: ViewData) -> float:
 
 
 def _planned(world: World, parameters: Parameters, view: ViewData, options: LightingOptions | None) -> ViewData:
-    """The view with what its lighting needs, in tiles that suit it: no term with a free field is left out."""
+    """The view with what its lighting needs: no term with a free field is left out."""
     scene = scene_of_view(world, view)
     check_samples(scene, view.samples)
     owners = {leaf.leaf for leaf in parameters.leaves if leaf.leaf is not None}
     owners |= {Leaf("Texture", "image", block.texture) for block in parameters.blocks}
     free = [leaf.get(scene) for leaf in owners if getattr(scene, leaf.attribute) is not None]
     plan = make_plan(scene, view.samples, options, free=free)
-    return dataclasses.replace(view, plan=plan, samples=in_fitting_tiles(scene, view.samples, plan))
+    return dataclasses.replace(view, plan=plan)
 
 
 def _strides(scene: Scene, parameters: Parameters, fields: list[FreeField], views: list[View], dtype: Any) -> Strides:

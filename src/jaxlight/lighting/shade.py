@@ -24,7 +24,6 @@ from .prepared import compute_dtype, prepare
 from .tiles import (
     Share,
     color_and_alpha_of_run,
-    in_fitting_tiles,
     is_one_loop,
     joined_shares,
     rows_of_run,
@@ -117,25 +116,23 @@ def _rows(plan: Plan, scene: Scene, samples: SampleBuffer) -> Float[Array, "tile
 
 
 def _rows_jvp(plan: Plan, primals: Any, tangents: Any) -> Any:
-    """Derivatives keep planes of all lights, and so have tiles of their own."""
     change, own = tangents
     planes = (own.position_planes, own.normal_planes, own.color_planes, own.texel_weight)
     by_images = moves((planes, change.textures))
 
-    def in_fitting(scene: Scene, samples: SampleBuffer) -> Array:
-        fitting = in_fitting_tiles(scene, samples, plan)
-        prepared, count = prepare(scene, fitting, plan), tiles_at_once(scene, fitting, plan)
+    def in_stages(scene: Scene, samples: SampleBuffer) -> Array:
+        prepared, count = prepare(scene, samples, plan), tiles_at_once(scene, samples, plan)
         runs = [
-            color_and_alpha_of_run(run, prepared, fitting, plan, count, by_images=by_images)
-            for run in surface_runs(scene.surfaces, fitting)
+            color_and_alpha_of_run(run, prepared, samples, plan, count, by_images=by_images)
+            for run in surface_runs(scene.surfaces, samples)
         ]
         # Joined at the very end, so that a loss of colours alone meets no image with alpha in reverse mode either.
         parts = zip(*runs, strict=True)
-        whole = [jnp.concatenate([_in_tiles(planes, samples.tile) for planes in part]) for part in parts]
+        whole = [jnp.concatenate(part) for part in parts]
         rows = jnp.swapaxes(jnp.concatenate(whole, axis=1), 1, 2) if runs else _in_one([], samples)
         return mapped_axis_first(rows)
 
-    return with_change(in_fitting, primals, tangents)
+    return with_change(in_stages, primals, tangents)
 
 
 _rows.defjvp(_rows_jvp, symbolic_zeros=True)
@@ -148,13 +145,6 @@ def _rows_of_runs(plan: Plan, scene: Scene, samples: SampleBuffer, share: Share 
         rows_of_run(run, prepared, samples, plan, share, one_loop=is_one_loop(run, scene, plan))
         for run in surface_runs(scene.surfaces, samples)
     ]
-
-
-def _in_tiles(planes: Float[Array, "tiles components smaller"], tile: int) -> Float[Array, "larger components tile"]:
-    components, smaller = planes.shape[1:]
-    if smaller == tile:
-        return planes
-    return jnp.swapaxes(planes.reshape(-1, tile // smaller, components, smaller), 1, 2).reshape(-1, components, tile)
 
 
 def _in_one(runs: list[Array], samples: SampleBuffer) -> Float[Array, "tiles tile 4"]:

@@ -27,7 +27,7 @@ from .unstored import stored
 PLANE = 16384
 """Lights times samples that are best evaluated at once: planes so large stay in the cache."""
 
-LARGEST_PLANE = 2 * PLANE
+LARGEST_PLANE = 4 * PLANE
 """More than that are never evaluated at once."""
 
 

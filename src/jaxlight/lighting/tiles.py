@@ -19,11 +19,8 @@ from ..scene import Scene, Surface
 from .one_tile import Color, Run, rows_of_tiles, tile_color
 from .plan import Plan
 from .prepared import Prepared, compute_dtype, on_one_lane
-from .stages import LARGEST_PLANE, PLANE
+from .stages import PLANE
 from .surface import sampled_texture
-
-SMALLEST_TILE = 512
-"""Samples of a tile that is split because there are many lights."""
 
 VERY_FEW = 4
 """Lights under which the samples of a run are evaluated in one loop: tile by tile, what a step of the loop over tiles
@@ -49,31 +46,12 @@ def _alike(a: Surface, b: Surface) -> bool:
 
 def tiles_at_once(scene: Scene, samples: SampleBuffer, plan: Plan) -> int:
     """How many neighbouring tiles are evaluated together: several where few lights would leave the planes short."""
-    lights, count = _most_lights(scene, plan), samples.group
-    if lights is None:
+    if plan.culled:  # only lights near a tile are evaluated
         return 1
+    lights, count = max(1, *_lights_by_kind(scene, plan)), samples.group
     while count > 1 and count * samples.tile * lights > PLANE:
         count //= 2
     return count
-
-
-def in_fitting_tiles(scene: Scene, samples: SampleBuffer, plan: Plan) -> SampleBuffer:
-    """The samples in tiles so small that planes of all lights of a kind stay in the cache, if that is small enough.
-
-    Under still more lights they stay as they are, and lights are evaluated in chunks: what is done once a sample has
-    its price in small tiles, as it has in derivatives to evaluate chunks twice.
-    """
-    lights, parts = _most_lights(scene, plan), 1
-    if lights is None:
-        return samples
-    while samples.tile // parts * lights > PLANE and samples.tile // parts > SMALLEST_TILE:
-        parts *= 2
-    return samples.with_split_tiles(parts) if samples.tile // parts * lights <= LARGEST_PLANE else samples
-
-
-def _most_lights(scene: Scene, plan: Plan) -> int | None:
-    """Of the kind with most lights their number, at least 1; None if only those near a tile are evaluated."""
-    return None if plan.culled else max(1, *_lights_by_kind(scene, plan))
 
 
 def _lights_by_kind(scene: Scene, plan: Plan) -> list[int]:

@@ -219,20 +219,6 @@ class SampleBuffer(eqx.Module):
         slots = slots.at[jnp.arange(self.count) if self.slot is None else self.slot].set(rows, unique_indices=True)
         return jnp.swapaxes(slots.reshape(blocks, block, components), 1, 2)
 
-    def with_split_tiles(self, parts: int) -> SampleBuffer:
-        """The same samples in the same slots, each tile split into `parts`, a power of two."""
-        if parts == 1:
-            return self
-        return dataclasses.replace(
-            self,
-            tile_surface=jnp.repeat(self.tile_surface, parts),
-            tile_low=jnp.repeat(self.tile_low, parts, axis=1),
-            tile_high=jnp.repeat(self.tile_high, parts, axis=1),
-            runs=tuple((surface, parts * first, parts * last) for surface, first, last in self.runs),
-            tile=self.tile // parts,
-            group=self.group * parts,
-        )
-
     def parts(self, count: int) -> dict[str, Array]:
         """What differs between parts of `count` tiles each, a divisor of `group`, by field: [parts, ...]."""
 
