@@ -1,4 +1,4 @@
-"""A function of numbers, evaluated for all elements of planes in one loop, with all that it needs in registers.
+"""A function of small arrays, evaluated for all elements of planes in one loop, with all that it needs in registers.
 
 XLA's CPU backend makes a loop of every result. HLO's `map` applies a computation on numbers, as long as one likes, to
 all elements in one loop that LLVM vectorises, but it has one result. Here that result has the numbers of an element
@@ -10,7 +10,8 @@ Other backends evaluate the function on the planes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -22,32 +23,41 @@ from jax.extend.mlir.dialects import stablehlo
 from jax.interpreters import batching, mlir
 from jaxtyping import Array
 
+from .unrolled import unrolled
 
-def in_one_loop(function: Callable[..., Sequence[Array]], planes: Sequence[Array], shape: tuple[int, ...]) -> Array:
-    """function(*planes), element by element; its results side by side, [*shape, results]. Not to be differentiated.
+
+def in_one_loop(jaxpr: ClosedJaxpr, planes: Sequence[Array], shape: tuple[int, ...]) -> Array:
+    """A function, element by element; its results side by side, [*shape, results]. Not to be differentiated.
 
     Args:
-        function: of numbers; gives at most 8 numbers (LLVM writes no more at once), all of one type. Closes over no
-            traced value.
-        planes: of as many axes as `shape`, to which they are broadcast.
+        jaxpr: of the function, that can be `unrolled`; gives at most 8 numbers (LLVM writes no more at once), all of
+            one type.
+        planes: one for every number that the function is given, of as many axes as `shape`, to which they are
+            broadcast.
     """
-    numbers = [jax.ShapeDtypeStruct((), plane.dtype) for plane in planes]
-    jaxpr = jax.make_jaxpr(lambda *numbers: tuple(function(*numbers)))(*numbers)
     return _one_loop.bind(*planes, jaxpr=jaxpr, shape=shape)
 
 
+def _of_numbers(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
+    """The function unrolled. That takes long, and is done only for loops that are compiled: derivatives need none."""
+    numbers = [
+        jax.ShapeDtypeStruct((), operand.dtype) for operand in jaxpr.in_avals for _ in range(math.prod(operand.shape))
+    ]
+    return jax.make_jaxpr(unrolled(jaxpr))(*numbers)
+
+
 def _on_planes(*planes: Array, jaxpr: ClosedJaxpr, shape: tuple[int, ...]) -> Array:
-    function = jaxpr_as_fun(jaxpr)
+    function = jaxpr_as_fun(_of_numbers(jaxpr))
     for _ in shape:
         function = jax.vmap(function)
     return jnp.stack(function(*(jnp.broadcast_to(plane, shape) for plane in planes)), axis=-1)
 
 
 def _in_loop(*planes: Array, jaxpr: ClosedJaxpr, shape: tuple[int, ...]) -> Array:
-    count = len(jaxpr.out_avals)
+    count, function = _count(jaxpr), jaxpr_as_fun(_of_numbers(jaxpr))
 
     def chosen(which: Array, *numbers: Array) -> Array:
-        results = jaxpr_as_fun(jaxpr)(*numbers)
+        results = function(*numbers)
         value = results[-1]
         for k in reversed(range(count - 1)):
             value = lax.select(lax.eq(which, jnp.int32(k)), results[k], value)
@@ -84,7 +94,12 @@ def _batched(
 
 
 def _side_by_side(*planes: Any, jaxpr: ClosedJaxpr, shape: tuple[int, ...]) -> Any:
-    return jaxpr.out_avals[0].update(shape=(*shape, len(jaxpr.out_avals)))
+    return jaxpr.out_avals[0].update(shape=(*shape, _count(jaxpr)))
+
+
+def _count(jaxpr: ClosedJaxpr) -> int:
+    """How many numbers the function gives."""
+    return sum(math.prod(result.shape) for result in jaxpr.out_avals)
 
 
 _one_loop = Primitive("one_loop")

@@ -20,7 +20,6 @@ from jaxtyping import Array, Float, Int
 
 from .one_loop import in_one_loop
 from .stages import Stage
-from .unrolled import unrolled
 from .unstored import Unstored, is_unstored, stored
 
 UNROLLED = 8
@@ -88,7 +87,7 @@ class SampleLoops(Stage):
 
         def loop(ordinary: bool) -> Array:
             jaxpr = jax.make_jaxpr(lambda given: jax.tree.leaves(of_sample(ordinary, given)))(single)
-            return in_one_loop(unrolled(jaxpr), _single_planes(operands), (rows, self.lanes))
+            return in_one_loop(jaxpr, _single_planes(operands), (rows, self.lanes))
 
         with jax.named_scope(f"loop.{getattr(function, 'func', function).__name__.lstrip('_')}"):
             numbers = lax.switch(self.which, [never, lambda: loop(True), lambda: loop(False)])

@@ -18,7 +18,7 @@ from ..raster.samples import SampleBuffer
 from ..scene import Scene, Surface
 from .one_tile import Color, Run, rows_of_tiles, tile_color
 from .plan import Plan
-from .prepared import Prepared, compute_dtype, on_one_lane
+from .prepared import Prepared, compute_dtype, lanes_of, on_one_lane
 from .stages import PLANE
 from .surface import sampled_texture
 
@@ -120,17 +120,15 @@ def color_and_alpha_of_run(
     """
 
     def planes_of(color: Color) -> Color:
-        # In one row: what has an axis of length 1 would be copied in reverse mode.
-        return color._replace(rgb=_by_tile(color.rgb, samples.tile).reshape(-1))
+        # Row by row, as they are computed, or XLA would divide to find the place of every number.
+        own = color.rgb.reshape(3, count, -1, lanes_of(samples))
+        # What has an axis of length 1 would be copied in reverse mode.
+        return color._replace(rgb=jnp.swapaxes(own, 0, 1) if count > 1 else own[:, 0])
 
     of_run = _of_parts_of_run if by_images else _of_run
     colors = of_run(planes_of, run, prepared, samples, plan, count)
     alpha = jnp.broadcast_to(colors.opacity, (colors.opacity.shape[0], count * samples.tile))
     return colors.rgb.reshape(-1, 3, samples.tile), alpha.reshape(-1, 1, samples.tile)
-
-
-def _by_tile(planes: Float[Array, "components samples"], tile: int) -> Float[Array, "tiles components tile"]:
-    return jnp.swapaxes(planes.reshape(planes.shape[0], -1, tile), 0, 1)
 
 
 _PlanesOf = Callable[[Color], Any]
