@@ -16,7 +16,7 @@ from jaxlight import Scene, compiler_options, nodes
 from jaxlight.fit import View
 from jaxlight.fit.normal import loss_and_gradient
 from jaxlight.fit.problem import make_problem
-from jaxlight.lighting import cores, make_plan, shade, shade_tiles
+from jaxlight.lighting import cores, make_plan, shade, shade_tiles, stages
 from jaxlight.raster import SampleBuffer
 
 COUNT = 5000
@@ -67,6 +67,24 @@ def test_the_size_of_tiles_changes_no_colour_and_no_derivative() -> None:
 
     of_large, of_small = (jax.jit(jax.grad(loss))(free, samples) for samples in (large, small))
     for ours, other in zip(jax.tree.leaves(of_large), jax.tree.leaves(of_small), strict=True):
+        np.testing.assert_allclose(ours, other, rtol=2e-5, atol=2e-5 * (float(np.abs(other).max()) + 1))
+
+
+def test_lights_in_chunks_have_the_same_colours_and_derivatives(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, samples = scene_with_lights(20), samples_in_tiles(256)
+    free, fixed = eqx.partition(scene, eqx.is_inexact_array)
+
+    def loss(free: Scene) -> jax.Array:
+        colors = shade(eqx.combine(free, fixed), samples, plan=make_plan(scene, samples, free=True))
+        return jnp.sum(jnp.sin(3 * colors))
+
+    at_once = jax.jit(jax.value_and_grad(loss))(free)
+    monkeypatch.setattr(stages, "LARGEST_PLANE", 8 * 256)
+    monkeypatch.setattr(stages, "CHUNK", 8 * 256)
+    jax.clear_caches()
+    in_chunks = jax.jit(jax.value_and_grad(loss))(free)
+    jax.clear_caches()
+    for ours, other in zip(jax.tree.leaves(in_chunks), jax.tree.leaves(at_once), strict=True):
         np.testing.assert_allclose(ours, other, rtol=2e-5, atol=2e-5 * (float(np.abs(other).max()) + 1))
 
 

@@ -299,7 +299,7 @@ def _light(how: How, near: Near | None, stage: Stage, inputs: TileInputs, tile: 
         def with_light(stage: Stage, total: Received | None, some: WorldLights) -> Received:
             return stage.together(partial(_received, how), some, tile, inputs.material, total)
 
-        most = stage.most_lights(math.prod(tile.position.x.shape))
+        most = stage.lights_at_once(lights.count, math.prod(tile.position.x.shape))
         if plan.culled:
             assert near is not None
             position, in_scope = stored(tile.position), near.in_scope[kind]

@@ -50,7 +50,7 @@ class SampleLoops(Stage):
     stacks: ClassVar[bool] = False
     lanes: int = eqx.field(static=True, kw_only=True)
 
-    def most_lights(self, samples: int) -> int:
+    def lights_at_once(self, lights: int, samples: int) -> int:
         return UNROLLED
 
     def sum(self, term: Callable[[Any, Array], Any], total: Any, count: Int[Array, ""] | int) -> Any:
@@ -113,7 +113,7 @@ def _single_planes(operands: Any) -> list[Float[Array, "#rows #lanes"]]:
 class _Inside(Stage):
     """Stages inside of a loop: none. It is known which form is evaluated."""
 
-    def most_lights(self, samples: int) -> int:
+    def lights_at_once(self, lights: int, samples: int) -> int:
         return UNROLLED
 
     def __call__(self, function: Callable[..., Any], *operands: Any, name: str = "") -> Any:

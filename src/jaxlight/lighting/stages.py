@@ -27,8 +27,11 @@ from .unstored import stored
 PLANE = 16384
 """Lights times samples that are best evaluated at once: planes so large stay in the cache."""
 
-LARGEST_PLANE = 4 * PLANE
-"""More than that are never evaluated at once."""
+CHUNK = 4 * PLANE
+"""So many of a chunk, where all lights would be more than LARGEST_PLANE."""
+
+LARGEST_PLANE = 16 * PLANE
+"""Up to so many are evaluated at once, although they leave the cache: chunks are evaluated anew for derivatives."""
 
 
 class Stage(eqx.Module):
@@ -59,9 +62,9 @@ class Stage(eqx.Module):
         """
         return lax.sort(jnp.stack([self.always, ~self.always]))[0]
 
-    def most_lights(self, samples: int) -> int:
-        """How many lights are evaluated at once for so many samples."""
-        return max(1, LARGEST_PLANE // samples)
+    def lights_at_once(self, lights: int, samples: int) -> int:
+        """How many of so many lights are evaluated at once for so many samples."""
+        return lights if lights * samples <= LARGEST_PLANE else max(1, CHUNK // samples)
 
     def sum(self, term: Callable[[Any, Array], Any], total: Any, count: Int[Array, ""]) -> Any:
         """The sum of `total` (None: 0) and `count` terms: term(so far, number), or so far and term(None, number)."""
