@@ -30,7 +30,7 @@ PLANE = 16384
 CHUNK = 4 * PLANE
 """So many of a chunk, where all lights would be more than LARGEST_PLANE."""
 
-LARGEST_PLANE = 16 * PLANE
+LARGEST_PLANE = 8 * PLANE
 """Up to so many are evaluated at once, although they leave the cache: chunks are evaluated anew for derivatives."""
 
 
