@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 
 from fit_scenes import precision
 from jaxlight import Scene, nodes
-from jaxlight.lighting import make_plan, shade, shade_tiles
+from jaxlight.lighting import make_plan, one_loop, shade, shade_tiles
 from jaxlight.lighting.one_loop import in_one_loop
 from jaxlight.lighting.unrolled import unrolled
 from jaxlight.raster import SampleBuffer
@@ -230,3 +231,21 @@ def test_lights_that_reach_most_tiles_are_not_looked_for(radius: float, culled: 
     np.testing.assert_allclose(
         shade(scene, samples, plan=plan), shade(scene, samples, plan=other), rtol=2e-6, atol=1e-6
     )
+
+
+def test_gradients_unroll_no_loop(samples: SampleBuffer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """JAX traces a function also where its derivative rule takes its place, and to unroll takes long."""
+    scene = scene_under(lights_of("point", 5))
+
+    def brightness(places: jax.Array) -> jax.Array:
+        moved = eqx.tree_at(lambda scene: scene.point.location, scene, places)
+        return jnp.sum(shade_tiles(moved, samples))
+
+    def fail(jaxpr: Any) -> Any:
+        raise AssertionError("unrolled")
+
+    monkeypatch.setattr(one_loop, "unrolled", fail)
+    places = scene.point.location
+    jax.jit(jax.grad(brightness)).lower(places)
+    with pytest.raises(AssertionError, match="unrolled"):
+        jax.jit(brightness).lower(places)
