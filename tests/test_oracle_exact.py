@@ -17,7 +17,7 @@ from oracle.cases import random_cases, well_conditioned_cases
 from oracle.condition import condition, gradient_condition, moved_gradient_condition, near_ties
 from oracle.equation import brightest, shade
 from oracle.exact import evaluate, gradient_bounds
-from oracle.fast_exact import gradients, values
+from oracle.fast_exact import gradients, second_derivatives, values
 from oracle.paths import float_paths, get, put, show
 from oracle.ulp import error_in_ulp, input_ulp, neighbours, output_ulp
 
@@ -151,6 +151,17 @@ def test_a_power_may_underflow() -> None:
     for precision, expected in ((32, (2 * slope, 0.0)), (64, (slope, slope))):
         low, high = gradient_bounds(case, near_ties(case, precision))["material", "shininess"][0]
         assert (float(low), float(high)) == pytest.approx(expected, rel=1e-10)
+
+
+@pytest.mark.parametrize(("precision", "underflows"), [(32, True), (64, False)])
+def test_fog_may_underflow(precision: int, underflows: bool) -> None:
+    """At distance 1, e^-100 is below float32's smallest normal number, and its slopes are 1e4 times it."""
+    fog = Fog(fog_type="EXPONENTIAL", visibility_range=1.01)
+    sample = replace(UP, position=(0.0, 0.0, 0.0), eye=(0.0, 0.0, 1.0))
+    clear = replace(fog, visibility_range=2.0)
+    for own, expected in ((fog, underflows), (clear, False)):
+        (found,) = second_derivatives([Case(sample, None, fog=own)], lambda path: 1.0, precision)
+        assert found.may_underflow.tolist() == [expected]
 
 
 # --- condition --------------------------------------------------------------------------------------------------------

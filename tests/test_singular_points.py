@@ -23,6 +23,7 @@ from jaxlight.lighting import elementary, factors, highlight
 from jaxlight.lighting.vectors import Vector, unit
 from oracle.adversarial import FAMILIES, adversarial_cases
 from oracle.case import Case, Light, Material, Sample
+from oracle.paths import float_paths
 
 SEED = 3
 POINTS = 12
@@ -273,6 +274,34 @@ def test_a_faint_light_is_attenuated_over_any_distance(distance: float) -> None:
     exact = -mpf(float(weight)) * mpf(float(d)) ** 2
     assert np.isfinite(slope)
     assert ulp_apart(np.float32(slope), [exact]) <= 2 if abs(exact) < 2.0**100 else slope < -(2.0**95)
+
+
+@pytest.mark.parametrize("moved", ["c1", "c2", "c3", "d"])
+def test_a_far_light_fades_as_its_distance_and_coefficients_grow(moved: str) -> None:
+    """The square of the factor underflows, its product with a step as large as the distance does not."""
+    numbers = {"c1": 1e20, "c2": 0.25, "c3": 1e-20, "d": 1e20}
+    start = {name: jnp.float32(value) for name, value in numbers.items()}
+    step = {name: value if name == moved else jnp.zeros_like(value) for name, value in start.items()}
+    change = jax.jvp(lambda at: factors.attenuation(**at), (start,), (step,))[1]
+    c1, c2, c3, d = (mpf(float(value)) for value in start.values())
+    by = {"c1": c1, "c2": c2 * d, "c3": c3 * d * d, "d": c2 * d + 2 * c3 * d * d}[moved]
+    assert ulp_apart(change, [-by / (c1 + c2 * d + c3 * d * d) ** 2]) <= 4
+
+
+def test_the_direction_of_a_faint_light_in_a_large_frame() -> None:
+    """A direction has no length: its derivative is that without a frame, times the frame's size."""
+    size = 2.0**40
+    faint = Light(kind="directional", direction=(-0.5, -0.25, -2.0), intensity=2.0**-90)
+    frame = tuple(tuple(size * (row == column) for column in range(3)) + (0.0,) for row in range(3))
+    framed = dataclasses.replace(faint, direction=tuple(x / size for x in faint.direction), frame=frame)
+    slopes = []
+    for light in (faint, framed):
+        any_light = one_light((0.0,) * 3, (1.0, 2.0, 3.0), (0.0,) * 3, (0.25, 0.5, 1.0), 0.1)
+        case = dataclasses.replace(any_light, lights=(light,))
+        (derivatives,) = answers.derivatives([case], np.float32, chunk=1)
+        slopes.append(derivatives[[path[2:3] == ("direction",) for path in float_paths(case)]])
+    assert np.all(slopes[0][:, :3] != 0)
+    np.testing.assert_allclose(slopes[1], size * slopes[0], rtol=1e-6)
 
 
 @pytest.mark.parametrize("visibility", [-1.0, 0.0, 1e-37, 1e-20, 3.0, 1e20, 1e37])

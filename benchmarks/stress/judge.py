@@ -98,7 +98,7 @@ class Block:
         Errors are in ulp of the sum of the sizes of what is added up, the largest among a vector's components; and over
         how many of these it moves with the inputs. Left out are derivatives by frames (their inverses move too), cases
         in which only some lights have one (in jaxlight the others' identities move), and those with second derivatives
-        too large to be asked for, or a power that may underflow.
+        too large to be asked for, or a power or an f0 of fog that may underflow.
         """
         cases, bits = self.cases[:count], BITS[self.precision]
         with jax.enable_x64(self.precision == "float64"):

@@ -188,6 +188,7 @@ def fogged(tape: FastTape, fog: Fog, color: Vector) -> Vector:
     else:
         exponent = -(d * margin.map_value(np.where(within, margin.value, WIDE(1))).reciprocal())
         f0, lost = exp(exponent), -exp_minus_one(exponent)
+        tape.flushed(f0, present & within)
     none, one = tape.constant(0), tape.constant(1)
     f0 = select(present, select(within, f0, none), one)
     lost = select(present, select(within, lost, one), none)  # 1 - f0: it may be far below f0's last digit

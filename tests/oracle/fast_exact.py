@@ -89,7 +89,7 @@ class SecondDerivatives:
     steepest: np.ndarray
     """[n]: the largest of all second derivatives."""
     may_underflow: np.ndarray
-    """[n]: whether a power may, that something multiplies."""
+    """[n]: whether a power or the fog's f0 may, that something multiplies."""
     distances: dict[str, np.ndarray]
 
     @property

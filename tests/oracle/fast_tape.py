@@ -10,7 +10,7 @@ import numpy as np
 from .case import Case, Fog, Light
 from .dual import Dual, Vector, cross, dot, minus, times
 from .paths import Path, float_paths, get
-from .ulp import input_ulp, underflow_threshold
+from .ulp import FORMATS, input_ulp, underflow_threshold
 
 WIDE = np.longdouble
 if np.finfo(WIDE).nmant < 63:
@@ -63,7 +63,7 @@ class FastTape:
         self.kinks: dict[str, np.ndarray] = {}
         self.powers_lost: list[str] = []
         self.may_lose = np.zeros(columns.count, dtype=bool)
-        """In which cases `powers_lost` are."""
+        """In which cases `powers_lost` are, or a factor is flushed to zero, that second derivatives multiply."""
         self.active: Any = np.True_
         """Where what is being computed matters; elsewhere its decisions do not count."""
 
@@ -118,6 +118,10 @@ class FastTape:
             self.powers_lost.append(name)
             self.may_lose |= lost
         return select(lost, self.constant(0), x) if name in self.flip else x
+
+    def flushed(self, x: Dual, where: Any) -> None:
+        """Notes in which cases x may be flushed to zero: of what is multiplied by it, even by 1e10, nothing is left."""
+        self.may_lose |= where & (x.value > 0) & (x.value < np.finfo(FORMATS[self.precision]).tiny)
 
     def length(
         self, kind: str, vector: Vector, *, tiny: float = 0.0, where: Any = np.True_, rounding: bool = False

@@ -38,11 +38,12 @@ def _attenuation_jvp(primals, tangents):
     factor = attenuation(c1, c2, c3, d)
     total = c1 + (c2 + c3 * d) * d
     active = jnp.where(total >= 1, factor, 0.0)
-    relative = factor * d
-    slope = jnp.minimum(c2 + 2.0 * c3 * d, _HUGE[factor.dtype]) * factor
-    change = (active * factor) * dc1 + (active * relative) * dc2
-    held = jnp.where(total >= 1, jnp.minimum(relative, _ROOT_OF_HUGEST[factor.dtype]), 0.0)
-    return factor, -(change + held * (held * dc3) + (active * slope) * dd)
+    relative = active * d
+    slope = jnp.minimum(c2 + 2.0 * c3 * d, _HUGE[factor.dtype]) * active
+    held = jnp.minimum(relative, _ROOT_OF_HUGEST[factor.dtype])
+    # Twice times the factor, not times its square: that of a far light underflows where a step as large makes up for it.
+    change = active * (active * dc1 + relative * dc2 + slope * dd) + held * (held * dc3)
+    return factor, -change
 
 
 # --- spot -------------------------------------------------------------------------------------------------------------

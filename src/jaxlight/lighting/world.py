@@ -16,6 +16,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..scene import DirectionalLights, Fog, PointLights, SpotLights
+from .elementary import power_of_two_above, reciprocal_of_power_of_two
 from .plan import FogPlan, LightPlan
 from .vectors import Matrix, Vector, matrix_of, transform, unit
 
@@ -103,6 +104,7 @@ def _on_one_lane(
 
     to_world = lights.to_world[keep].astype(dtype)
     linear = matrix_of(to_world[:, None, None, :, :3])
+    turning = matrix_of(_scaled_to_one(to_world[:, None, None, :, :3]))
     color = on_lanes(field(lights.color).T, 1)
     intensity = on_lanes(field(lights.intensity), 1)
     ambient = on_lanes(field(lights.ambient_intensity), 1) if plan.ambient else None
@@ -110,7 +112,7 @@ def _on_one_lane(
     def world_direction(values: Array) -> Vector:
         # Normalised in its own frame first: it may be of any length, and its derivative along itself is exactly 0.
         own = unit(planes(values))[0]
-        return own if plan.frame == "identity" else unit(transform(linear, own))[0]
+        return own if plan.frame == "identity" else unit(transform(turning, own))[0]
 
     if isinstance(lights, DirectionalLights):
         towards = -world_direction(lights.direction)
@@ -154,6 +156,12 @@ def _on_one_lane(
         beam_width=on_lanes(field(lights.beam_width), 1) if spot else None,
         cut_off_angle=on_lanes(field(lights.cut_off_angle), 1) if spot else None,
     )
+
+
+def _scaled_to_one(matrices: Float[Array, "... 3 3"]) -> Float[Array, "... 3 3"]:
+    """Matrices times powers of two, so that they make no vector much longer: derivatives are not divided by its length."""
+    largest = jnp.max(jnp.abs(lax.stop_gradient(matrices)), axis=(-2, -1), keepdims=True)
+    return matrices * reciprocal_of_power_of_two(power_of_two_above(largest))
 
 
 def fog_in_world(fog: Fog, plan: FogPlan, dtype: jnp.dtype, lanes: int) -> WorldFog:
