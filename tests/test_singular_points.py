@@ -292,7 +292,7 @@ def test_the_direction_of_a_faint_light_in_a_large_frame() -> None:
     """A direction has no length: its derivative is that without a frame, times the frame's size."""
     size = 2.0**40
     faint = Light(kind="directional", direction=(-0.5, -0.25, -2.0), intensity=2.0**-90)
-    frame = tuple(tuple(size * (row == column) for column in range(3)) + (0.0,) for row in range(3))
+    frame = ((size, 0.0, 0.0, 0.0), (0.0, size, 0.0, 0.0), (0.0, 0.0, size, 0.0))
     framed = dataclasses.replace(faint, direction=tuple(x / size for x in faint.direction), frame=frame)
     slopes = []
     for light in (faint, framed):

@@ -41,7 +41,7 @@ def _attenuation_jvp(primals, tangents):
     relative = active * d
     slope = jnp.minimum(c2 + 2.0 * c3 * d, _HUGE[factor.dtype]) * active
     held = jnp.minimum(relative, _ROOT_OF_HUGEST[factor.dtype])
-    # Twice times the factor, not times its square: that of a far light underflows where a step as large makes up for it.
+    # Twice times the factor: the square of a far light's underflows, where a step as large would make up for it.
     change = active * (active * dc1 + relative * dc2 + slope * dd) + held * (held * dc3)
     return factor, -change
 

@@ -159,7 +159,7 @@ def _on_one_lane(
 
 
 def _scaled_to_one(matrices: Float[Array, "... 3 3"]) -> Float[Array, "... 3 3"]:
-    """Matrices times powers of two, so that they make no vector much longer: derivatives are not divided by its length."""
+    """Matrices times powers of two: they make no vector much longer, by whose length derivatives would be divided."""
     largest = jnp.max(jnp.abs(lax.stop_gradient(matrices)), axis=(-2, -1), keepdims=True)
     return matrices * reciprocal_of_power_of_two(power_of_two_above(largest))
 
