@@ -162,6 +162,7 @@ def test_comparison_figures() -> None:
     mask[1, 2] = False
     same = compare(image, reference, mask)
     assert (same.largest, same.psnr, same.relative_l2, same.pixels) == (0, math.inf, 0, 5)
+    assert compare(image, reference, np.where(mask, 0.5, 0.49)).pixels == 5
     assert compare(np.full((2, 2), 255, np.uint8), np.full((2, 2), 65535, np.uint16)).largest == 0
 
 
@@ -173,6 +174,12 @@ def test_comparison_figures() -> None:
         (lambda: compare(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3))), "no pixel to compare"),
         (lambda: compare(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((3, 3))), r"mask: expected shape \[2, 3\]"),
         (lambda: compare(np.full((2, 3), np.nan), np.zeros((2, 3))), "image is not finite at row 0, column 0"),
+        (
+            lambda: compare(np.zeros((2, 3)), np.zeros((2, 3)), np.full((2, 3), np.nan)),
+            "mask: 6 of its 6 numbers are NaN",
+        ),
+        (lambda: encode(np.zeros(3, np.uint8)), "image: got uint8; divide by 255"),
+        (lambda: decode(np.zeros(3, np.uint16)), "image: got uint16; divide by 65535"),
         (lambda: encode(np.zeros(3), "gamma"), "expected 'none' or 'srgb', got 'gamma'"),  # type: ignore[arg-type]
     ],
 )

@@ -124,6 +124,15 @@ def test_files_that_are_no_images(tmp_path: Path, content: bytes, message: str) 
     assert str(caught.value).startswith(str(tmp_path / "a.png"))
 
 
+def test_whole_numbers_of_32_bits_are_refused(tmp_path: Path) -> None:
+    """Nothing says how large they may be; of 16 bits the largest is 65535."""
+    Image.fromarray(np.full((2, 3), 2**31 - 1, np.int32)).save(tmp_path / "a.tif")
+    with pytest.raises(SceneFileError, match="32 bits; 8 or 16 bits a component are read"):
+        read_image(tmp_path / "a.tif")
+    Image.fromarray(np.full((2, 3), 65535, np.uint16)).save(tmp_path / "b.tif")
+    np.testing.assert_array_equal(read_image(tmp_path / "b.tif"), np.ones((2, 3, 1)))
+
+
 def test_damaged_images_give_nothing_but_the_error(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     refused = 0

@@ -123,6 +123,13 @@ def test_without_a_mask_what_is_not_finite_or_zero_is_left_out() -> None:
     assert set(range(20)) - set(np.asarray(found.pixel).tolist()) == {0, 6, 12, 18, 19}
 
 
+@pytest.mark.parametrize(("bright", "dark"), [(0.5, 0.49), (np.uint8(128), np.uint8(127)), (True, False)])
+def test_a_mask_leaves_out_what_is_darker_than_one_half(bright: Any, dark: Any) -> None:
+    shown = np.arange(20).reshape(4, 5) % 3 == 0
+    found = samples_from_maps(np.tile([0.0, 0, 1], (4, 5, 1)), CAMERA, depth=1.0, mask=np.where(shown, bright, dark))
+    assert set(np.asarray(found.pixel).tolist()) == set(np.flatnonzero(shown).tolist())
+
+
 def test_orthographic_views() -> None:
     turn = Camera.look_at((3, 1, 2), (0, 0, 0)).rotation
     view = Orthographic(pixel_size=0.5, center=(1.0, 2.0, 3.0), rotation=turn)
@@ -177,6 +184,7 @@ HOLE[1, 2] = np.nan
             "normal: got uint8; divide by 255; with normal_encoding='color', or give",
         ),
         (NORMAL, {"depth": 1.0, "color": np.ones((3, 4, 3), np.uint16)}, "color: got uint16; divide by 65535, or give"),
+        (NORMAL, {"depth": 1.0, "mask": np.full((3, 4), np.nan)}, "mask: 12 of its 12 numbers are NaN"),
         (NORMAL, {"depth": 0.0}, "no pixel shows a surface"),
         (NORMAL, {"depth": 1.0, "normal_frame": "view"}, "normal_frame: expected 'camera' or 'world', got 'view'"),
         (NORMAL, {"depth": 1.0, "normal_encoding": "rgb"}, "normal_encoding: expected 'vector' or 'color'"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -86,6 +88,53 @@ def test_derivatives_by_rows_are_those_by_planes(by_place: bool) -> None:
 def test_rows_of_another_shape_are_refused(own: dict[str, np.ndarray], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         buffer(rows(1)).with_rows(**own)
+
+
+ONE: dict[str, Any] = {"position": np.zeros((1, 3)), "normal": np.ones((1, 3)), "eye": (0, 0, 5)}
+
+
+@pytest.mark.parametrize(
+    ("own", "message"),
+    [
+        ({"dtype": int}, "dtype: expected a floating-point type such as 'float32', got <class 'int'>"),
+        ({"dtype": "float31"}, "dtype: expected a floating-point type such as 'float32', got 'float31'"),
+        ({"tile": 2.0}, "tile: expected a whole number >= 1, got 2.0"),
+        ({"tile": 3}, "tile: expected a power of two, got 3"),
+        ({"coverage": [-0.5]}, r"coverage: expected shares in \[0, 1\], got -0.5 to -0.5"),
+        ({"coverage": [5.0]}, r"coverage: expected shares in \[0, 1\], got 5.0 to 5.0"),
+    ],
+)
+def test_what_makes_no_buffer_is_refused(own: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=f"SampleBuffer: {message}"):
+        SampleBuffer.create(**ONE | own)
+
+
+@pytest.mark.parametrize("dtype", [int, "float31"])
+def test_a_scene_of_no_floats_is_refused(dtype: Any) -> None:
+    with pytest.raises(ValueError, match="dtype: expected a floating-point type such as 'float32'"):
+        Scene.from_nodes(nodes.PointLight(), dtype=dtype)
+
+
+def test_texels_that_the_texture_lacks_are_refused() -> None:
+    """Of the surfaces that have one: what others say of texels is not read."""
+    images = [nodes.PixelTexture(image=np.full((2, size, 1), 0.5)) for size in (3, 4)]
+    textured = [
+        nodes.Shape(appearance=nodes.Appearance(material=nodes.Material(), texture=image), geometry=nodes.Sphere())
+        for image in (*images, None)
+    ]
+    scene, weight = Scene.from_nodes(textured), np.tile([1.0, 0, 0, 0], (3, 1))
+    rows: dict[str, Any] = {"position": np.zeros((3, 3)), "normal": np.ones((3, 3)), "eye": (0, 0, 5)}
+
+    def shaded(*texels: int) -> jax.Array:
+        index = np.repeat(np.array(texels)[:, None], 4, axis=1)
+        samples = SampleBuffer.create(**rows, surface=np.arange(3), texel_index=index, texel_weight=weight)
+        return shade(scene, samples)
+
+    assert shaded(5, 7, 99).shape == (3, 4)
+    with pytest.raises(ValueError, match="texel 6 of surface 0 asked for, but its texture has 2 x 3 texels"):
+        shaded(6, 7, 0)
+    with pytest.raises(ValueError, match="texel 8 of surface 1 asked for, but its texture has 2 x 4 texels"):
+        shaded(5, 8, 0)
 
 
 def test_colors_for_a_buffer_without_are_refused() -> None:

@@ -11,7 +11,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxlight import Camera, SampleBuffer, Scene, View, check_gradients, fit, nodes, rasterize, render, shade
+from jaxlight import (
+    Camera,
+    LightingOptions,
+    SampleBuffer,
+    Scene,
+    View,
+    check_gradients,
+    fit,
+    nodes,
+    rasterize,
+    render,
+    shade,
+)
+from jaxlight.lighting import make_plan
 
 DIFFUSE = "Material[red].diffuse_color"
 
@@ -54,7 +67,8 @@ LEAVES: list[tuple[Callable[[Scene], Any], Any, str]] = [
     (lambda s: s.point.location, jnp.ones(3), r"PointLight\.location: .* \[1, 3\], got float32 of shape \[3\]"),
     (lambda s: s.spot.to_world, jnp.ones((1, 4, 4)), r"SpotLight\.to_world: .* \[1, 3, 4\]"),
     (lambda s: s.fog.color, jnp.ones((1, 3)), r"Fog\.color: .* \[3\], got float32 of shape \[1, 3\]"),
-    (lambda s: s.textures[0].image, jnp.ones((2, 2)), r"Texture\[0\]\.image: .* \[height, width, components\]"),
+    (lambda s: s.textures[0].image, jnp.ones((2, 2)), r"Texture\[0\]\.image: .* \[2, 2, components\]"),
+    (lambda s: s.textures[0].image, jnp.ones((3, 2, 3)), r"\[2, 2, components\], got float32 of shape \[3, 2, 3\]"),
 ]
 
 
@@ -96,3 +110,14 @@ def test_arguments_of_another_type_are_refused(seen: tuple[Scene, SampleBuffer])
             function(scene, other)
         with pytest.raises(ValueError, match="options: expected LightingOptions, got str"):
             function(scene, samples, options=options)
+
+
+def test_a_plan_stands_alone(seen: tuple[Scene, SampleBuffer]) -> None:
+    """It holds the options that it was made with; other ones beside it would be ignored."""
+    scene, samples = seen
+    plan: Any = LightingOptions()
+    for function in (shade, render):
+        with pytest.raises(ValueError, match="options: a plan has options of its own"):
+            function(scene, samples, LightingOptions(support_level=1), plan=make_plan(scene, samples))
+        with pytest.raises(ValueError, match="plan: expected a Plan, got LightingOptions"):
+            function(scene, samples, plan=plan)

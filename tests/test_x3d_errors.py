@@ -43,6 +43,11 @@ ERRORS = [
     (f"<Shape><IndexedTriangleSet index='0 -1 1'>{POINTS}</IndexedTriangleSet></Shape>", "indices >= 0, got -1"),
     (f"<Shape><IndexedTriangleSet index='0 1 5'>{POINTS}</IndexedTriangleSet></Shape>", "index 5, but coord has 3"),
     (f"<Shape><TriangleSet>{POINTS}<Color color='1 0 0'/></TriangleSet></Shape>", "but color has 1 entries"),
+    (
+        f"<Shape><IndexedTriangleSet index='0 1 2 2 1 0' colorPerVertex='false'>{POINTS}<Color color='1 0 0 0 1 0'/>"
+        "</IndexedTriangleSet></Shape>",
+        "index 2, but color has 2 entries",
+    ),
     ("<Shape><Appearance><PixelTexture image='1 1 3'/></Appearance></Shape>", "1 x 1 pixels announced, 0 given"),
     ("<Group visible='maybe'/>", "Group.visible: expected true or false"),
 ]

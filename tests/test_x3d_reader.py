@@ -110,10 +110,12 @@ NODES = [
         ),
     ),
     (
-        f"<Shape><TriangleSet colorPerVertex='false'>{POINTS}<Color color='1 1 0'/></TriangleSet></Shape>",
+        f"<Shape><TriangleSet colorPerVertex='false'>{POINTS}<Color color='1 1 0 1 1 0 0 0 1'/></TriangleSet></Shape>",
         n.Shape(
             geometry=n.TriangleSet(
-                color_per_vertex=False, coord=n.Coordinate(point=TRIANGLE), color=n.Color(color=[[1, 1, 0]])
+                color_per_vertex=False,
+                coord=n.Coordinate(point=TRIANGLE),
+                color=n.Color(color=[[1, 1, 0], [1, 1, 0], [0, 0, 1]]),
             )
         ),
     ),

@@ -45,7 +45,7 @@ class Fit:
     viewpoints: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """DEF name or number of the Viewpoint of each picture (default: the scene's first for all)."""
     masks: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PICTURE ...")] = ()
-    """A mask for each picture: black is not fitted."""
+    """A mask for each picture: what is darker than one half is not fitted."""
     decode: Literal["none", "srgb"] = "none"
     """What the pictures' numbers are: those of the equation, or sRGB of linear light (photographs)."""
     saturated: float | None = None

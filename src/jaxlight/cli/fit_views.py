@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..formats.levels import is_chosen
 from .cameras import camera_of
 from .problem import FitProblem, MapsProblem, Source, ViewProblem, blamed_on
 
@@ -53,7 +54,7 @@ def _make_view(
         return image.mean(axis=-1) if grey or image.shape[2] == 1 else image
 
     mask = beside("mask", grey=True)
-    mask = None if mask is None else mask >= 0.5
+    mask = None if mask is None else is_chosen(mask)
     if target.shape[2] in (2, 4):
         opaque = target[..., -1] > 0
         target, mask = target[..., :-1], opaque if mask is None else mask & opaque

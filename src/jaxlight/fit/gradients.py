@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..lighting import LightingOptions, shade_planes
-from ..lighting.shade import check_samples
+from ..lighting.checks import check_samples
 from ..raster.samples import SampleBuffer
 from ..scene import paths
 from ..scene.fields import positive

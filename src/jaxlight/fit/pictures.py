@@ -9,10 +9,11 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from ..formats.levels import is_chosen
 from ..image import resolve, sky
 from . import normal
 from .problem import Problem
-from .views import View, ViewData, is_fitted
+from .views import View, ViewData
 
 if TYPE_CHECKING:
     from .fitting import Fit
@@ -67,7 +68,7 @@ def _pictures_of_view(result: Fit, row: int, view: View) -> ViewPictures:
 
     used = covered > (1 - 1e-6 if view.background is None else 0)
     name = f"View[{view.name or row}]"
-    mask = None if view.mask is None else is_fitted(f"{name}.mask", view.mask)
+    mask = None if view.mask is None else is_chosen(view.mask, f"{name}.mask: ")
     for field in (mask, view.weight):
         if field is not None:
             used &= np.any(as_picture(field) > 0, axis=-1)

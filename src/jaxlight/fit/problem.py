@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..lighting import LightingOptions, make_plan
-from ..lighting.shade import check_samples
+from ..lighting.checks import check_samples
 from ..scene.checks import check_scene
 from ..scene.fields import positive
 from ..scene.flags import Flags

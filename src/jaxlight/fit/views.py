@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..formats.levels import is_levels, refuse_levels
+from ..formats.levels import is_chosen, refuse_levels
 from ..raster.samples import SampleBuffer
 from ..scene.fields import number, positive
 from ..scene.flags import Flags
@@ -95,7 +95,7 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
     layout = _Layout.of(label, samples)
     mask = np.ones(layout.points, dtype=bool)
     if view.mask is not None:
-        mask = layout.points_of("mask", is_fitted(f"{label}.mask", view.mask), grey=True)[:, 0] != 0
+        mask = layout.points_of("mask", is_chosen(view.mask, f"{label}.mask: "), grey=True)[:, 0] != 0
     weight = np.ones((layout.points, 1))
     if view.weight is not None:
         weight = layout.points_of("weight", view.weight)
@@ -157,24 +157,6 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
 def exposure_of(view: View, row: int) -> float:
     """The exposure of a view, checked: a finite number > 0."""
     return positive(f"View[{view.name or row}].exposure", view.exposure)
-
-
-def is_fitted(where: str, mask: Any) -> np.ndarray:
-    """What a mask chooses, in its own shape: True where the picture is fitted (see `View`).
-
-    Raises:
-        ValueError: no numbers, or NaN among them.
-    """
-    array = np.asarray(mask)
-    if array.dtype.kind not in "biuf":
-        raise ValueError(f"{where}: expected numbers or truth values, got {mask!r:.60}")
-    if array.dtype.kind == "f":
-        if np.any(np.isnan(array)):
-            raise ValueError(f"{where}: {np.count_nonzero(np.isnan(array))} of its {array.size} numbers are NaN")
-        return array >= 0.5
-    if is_levels(array) and np.any(array > 1):
-        return array > np.iinfo(array.dtype).max // 2
-    return array != 0
 
 
 def _numbers(where: str, value: Any) -> np.ndarray:

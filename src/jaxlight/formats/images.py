@@ -29,7 +29,7 @@ def read_image(path: str | Path) -> np.ndarray:
     """The pixels of an image file.
 
     Args:
-        path: PNG, JPEG, BMP, GIF, TIFF or WebP, 8 bits a component; PNG with 16; EXR.
+        path: PNG, JPEG, BMP, GIF, TIFF or WebP, 8 bits a component; PNG and grey TIFF with 16; EXR.
 
     Returns:
         float64 [height, width, 1 to 4 components], row 0 at the top. Integers are divided by the largest one of their
@@ -66,6 +66,9 @@ def pixels_of(image: Image.Image, path: Path) -> np.ndarray:
     """The pixels of an opened Pillow image, as `read_image` returns them."""
     if image.width * image.height > MAX_PIXELS:
         raise SceneFileError(path, None, f"{image.width} x {image.height} pixels; at most {MAX_PIXELS} are read")
+    # Pillow's mode for whole numbers of 32 bits, of which nothing says how large they may be.
+    if image.mode == "I" and image.format != "PNG":
+        raise SceneFileError(path, None, "whole numbers of 32 bits; 8 or 16 bits a component are read")
     image.load()
     image = ImageOps.exif_transpose(image) or image
     if image.mode.startswith("I"):

@@ -17,3 +17,23 @@ def refuse_levels(where: str, value: Any) -> None:
     if is_levels(value):
         kind = value.dtype
         raise ValueError(f"{where}: got {kind}; divide by {np.iinfo(kind).max} or use read_image")
+
+
+def is_chosen(mask: Any, where: str = "") -> np.ndarray:
+    """What a mask chooses, in its own shape: True from one half on, of levels from above half of the largest one.
+
+    Levels of which none is above 1 are truth values, as other whole numbers are.
+
+    Raises:
+        ValueError: no numbers, or NaN among them; begins with `where`.
+    """
+    array = np.asarray(mask)
+    if array.dtype.kind not in "biuf":
+        raise ValueError(f"{where}expected numbers or truth values, got {mask!r:.60}")
+    if array.dtype.kind == "f":
+        if np.any(np.isnan(array)):
+            raise ValueError(f"{where}{np.count_nonzero(np.isnan(array))} of its {array.size} numbers are NaN")
+        return array >= 0.5
+    if is_levels(array) and np.any(array > 1):
+        return array > np.iinfo(array.dtype).max // 2
+    return array != 0

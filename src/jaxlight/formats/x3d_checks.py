@@ -27,7 +27,7 @@ def check_indices(geometry: nodes.Node) -> None:
 def _check_triangles(
     geometry: nodes.IndexedTriangleSet | nodes.TriangleSet, corners: np.ndarray, triangles: int
 ) -> None:
-    """Vertex data is taken by the same index as the coordinates, or one a triangle."""
+    """Vertex data is taken by the same index as the coordinates; normals may be one a triangle."""
     for name, values, per_vertex in _lists(geometry):
         if name == "coord":
             _check_within(geometry, "index", corners, len(values), name)
@@ -71,8 +71,11 @@ def _same_faces(corners: np.ndarray, index: np.ndarray) -> bool:
 
 
 def _lists(geometry: nodes.Node) -> list[tuple[str, np.ndarray, bool]]:
-    """(field, values, one a vertex?) of the lists that a geometry has; an empty list counts as absent."""
-    found = []
+    """(field, values, one a vertex?) of the lists that a geometry has; an empty list counts as absent.
+
+    Colours of triangle sets belong to vertices, whatever `color_per_vertex` says (X3D 11.4.6).
+    """
+    triangles, found = not isinstance(geometry, nodes.IndexedFaceSet), []
     for name, values_name, switch in (
         ("coord", "point", None),
         ("color", "color", "color_per_vertex"),
@@ -81,7 +84,8 @@ def _lists(geometry: nodes.Node) -> list[tuple[str, np.ndarray, bool]]:
     ):
         node = getattr(geometry, name)
         if node is not None and (name == "coord" or len(getattr(node, values_name))):
-            found.append((name, getattr(node, values_name), switch is None or getattr(geometry, switch)))
+            per_vertex = switch is None or getattr(geometry, switch) or (triangles and name == "color")
+            found.append((name, getattr(node, values_name), per_vertex))
     return found
 
 

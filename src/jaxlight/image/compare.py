@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from ..formats.levels import is_chosen
+
 
 @dataclasses.dataclass(frozen=True)
 class Difference:
@@ -42,7 +44,7 @@ def compare(image: Any, reference: Any, mask: Any = None, *, peak: float = 1.0) 
     Args:
         image, reference: [height, width] or [height, width, channels], of one shape. uint8 and uint16 count as
             fractions of their largest value.
-        mask: [height, width], True where pixels are compared.
+        mask: [height, width], True (or from one half on) where pixels are compared.
         peak: the largest value that a picture has, for `psnr`.
 
     Returns:
@@ -57,7 +59,7 @@ def compare(image: Any, reference: Any, mask: Any = None, *, peak: float = 1.0) 
     if mask is None:
         used = np.ones(a.shape[:2], dtype=bool)
     else:
-        used = np.asarray(mask) != 0
+        used = is_chosen(mask, "compare: mask: ")
         if used.shape != a.shape[:2]:
             raise ValueError(f"compare: mask: expected shape {list(a.shape[:2])}, got {list(used.shape)}")
     if not np.any(used):

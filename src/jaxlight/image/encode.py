@@ -7,6 +7,8 @@ from typing import Any, Literal
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ..formats.levels import refuse_levels
+
 Transfer = Literal["none", "srgb"]
 
 
@@ -23,9 +25,9 @@ def encode(image: Any, transfer: Transfer = "srgb") -> Array:
         sRGB numbers for "srgb", otherwise the image itself; the same shape.
 
     Raises:
-        ValueError: an unknown transfer.
+        ValueError: an unknown transfer; levels of 8 or 16 bits for numbers.
     """
-    _check(transfer)
+    _check(transfer, image)
     return linear_to_srgb(image) if transfer == "srgb" else jnp.asarray(image)
 
 
@@ -40,9 +42,9 @@ def decode(image: Any, transfer: Transfer = "srgb") -> Array:
         Linear numbers for "srgb", otherwise the image itself; the same shape.
 
     Raises:
-        ValueError: an unknown transfer.
+        ValueError: an unknown transfer; levels of 8 or 16 bits for numbers.
     """
-    _check(transfer)
+    _check(transfer, image)
     return srgb_to_linear(image) if transfer == "srgb" else jnp.asarray(image)
 
 
@@ -62,6 +64,7 @@ def srgb_to_linear(srgb: Any) -> Array:
     return jnp.where(is_straight, x / 12.92, curved)
 
 
-def _check(transfer: str) -> None:
+def _check(transfer: str, image: Any) -> None:
+    refuse_levels("image", image)
     if transfer not in ("none", "srgb"):
         raise ValueError(f"transfer: expected 'none' or 'srgb', got {transfer!r}")

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..lighting import LightingOptions, Plan, shade_slots
+from ..lighting.checks import check_samples
 from ..lighting.compiling import quick_jit
-from ..lighting.shade import check_samples
 from ..raster import SampleBuffer
 from ..scene import Scene
 from .background import sky

@@ -13,8 +13,8 @@ from jaxtyping import Array, Float, Int
 
 from ..raster.samples import SampleBuffer
 from ..scene import Scene
-from ..scene.checks import check_scene
 from .changes import moves, with_change
+from .checks import check_samples
 from .compiling import is_traced, jit_on_cpu
 from .cores import in_threads, shares_of
 from .mapped import mapped_axis_first
@@ -100,6 +100,10 @@ def _shade(
     check_samples(scene, samples)
     if plan is None:
         plan = make_plan(scene, samples, options)
+    elif not isinstance(plan, Plan):
+        raise ValueError(f"plan: expected a Plan, got {type(plan).__name__}")
+    elif options is not None:
+        raise ValueError("options: a plan has options of its own; give one of the two")
     scene = _without_document(scene)
     if not _runs_alone_on_cpu(scene, samples):
         return _shaded(form, plan, scene, samples)
@@ -185,24 +189,3 @@ def _runs_alone_on_cpu(scene: Scene, samples: SampleBuffer) -> bool:
 def _without_document(scene: Scene) -> Scene:
     """The scene without what shading does not read, so that scenes that differ only there share compiled code."""
     return dataclasses.replace(scene, document=None)
-
-
-def check_samples(scene: Scene, samples: SampleBuffer) -> None:
-    """Raise ValueError if one of the two is something else, or they do not fit each other."""
-    check_scene(scene)
-    if not isinstance(samples, SampleBuffer):
-        raise ValueError(f"samples: expected a SampleBuffer, got {type(samples).__name__}")
-    for row, _, _ in samples.runs:
-        if row >= len(scene.surfaces):
-            raise ValueError(f"samples: surface {row} asked for, but the scene has {len(scene.surfaces)} surfaces")
-        surface = scene.surfaces[row]
-        components = 0 if samples.color_planes is None else samples.color_planes.shape[1]
-        if surface.color_components > components:
-            raise ValueError(
-                f"samples: surface {row} has {surface.color_components}-component vertex colours, "
-                f"the buffer holds {components}"
-            )
-        if surface.texture >= 0 and samples.texel_index is None:
-            raise ValueError(
-                f"samples: surface {row} has a texture, but the buffer has no texel_index and texel_weight"
-            )

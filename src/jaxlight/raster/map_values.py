@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..formats import read_image
-from ..formats.levels import is_levels
+from ..formats.levels import is_chosen, is_levels
 
 MAX_BYTES = 1 << 31
 _ARRAYS = (".npy", ".npz")
@@ -96,4 +96,4 @@ def _numbers(what: str, value: Any) -> np.ndarray:
         raise ValueError(
             f"got {array.dtype}; divide by {np.iinfo(array.dtype).max}{said}, or give the image file's path"
         )
-    return array.astype(np.float64)
+    return (is_chosen(array) if what == "mask" else array).astype(np.float64)

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ..formats.levels import is_chosen
 from .camera import Camera
 from .map_values import fitted, map_values
 from .pattern import morton
@@ -66,8 +67,8 @@ def samples_from_maps(
         view: where the picture was taken from; a Camera with intrinsics belongs to pictures of this size.
         position: [height, width, 3]. Give this or `depth`.
         depth: [height, width], or one number for all, which will do where only directional lights shine.
-        mask: [height, width], not 0 where there is a surface. Default: where normal and depth are finite and the normal
-            is not zero.
+        mask: [height, width], True (or from one half on) where there is a surface. Default: where normal and depth are
+            finite and the normal is not zero.
         color: [height, width, 3 or 4], colours in the place of vertex colours.
         surface: row in `Scene.surfaces`, one for all or [height, width].
         normal_encoding: "vector": the numbers are components; "color": n = 2 c - 1, as colour images hold normals.
@@ -105,7 +106,7 @@ def samples_from_maps(
     if mask is None:
         seen = finite & np.any(vectors != 0, axis=2)
     else:
-        seen = fitted("mask", map_values("mask", mask)[0], height, width, None) != 0
+        seen = is_chosen(fitted("mask", map_values("mask", mask)[0], height, width, None))
         bad = np.argwhere(seen & ~finite)
         if len(bad):
             row, column = bad[0]

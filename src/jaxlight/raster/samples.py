@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..scene.fields import whole
+from ..scene.fields import float_type, whole
 
 MAX_TILE = 1024
 MIN_TILE = 64
@@ -107,8 +107,9 @@ class SampleBuffer(eqx.Module):
             dtype: float type of the arrays (default: JAX's).
 
         Raises:
-            ValueError: a shape, a non-finite value or an index that does not fit; says which.
+            ValueError: a shape, a type, a value or an index that does not fit; says which.
         """
+        dtype = float_type("SampleBuffer: dtype", dtype)
         position = _rows("position", position, (3,))
         count = len(position)
         normal = _rows("normal", normal, (3,), count)
@@ -127,9 +128,13 @@ class SampleBuffer(eqx.Module):
                 raise ValueError("SampleBuffer: pixel needs width and height")
             pixel = _indices("pixel", pixel, (count,), below=width * height)
         coverage = None if coverage is None else _vector("coverage", coverage, (count,))
+        if coverage is not None and np.any((coverage < 0) | (coverage > 1 + 1e-6)):
+            least, most = coverage.min(), coverage.max()
+            raise ValueError(f"SampleBuffer: coverage: expected shares in [0, 1], got {least} to {most}")
         camera_to_world = None if camera_to_world is None else _vector("camera_to_world", camera_to_world, (3, 3))
         pixel_to_world = None if pixel_to_world is None else _vector("pixel_to_world", pixel_to_world, (3, 3))
-        if tile is not None and (tile < 1 or tile & (tile - 1)):
+        tile = None if tile is None else whole("SampleBuffer: tile", tile, at_least=1)
+        if tile is not None and tile & (tile - 1):
             raise ValueError(f"SampleBuffer: tile: expected a power of two, got {tile}")
         layout = _layout(surface, tile, position if by_place else None)
 

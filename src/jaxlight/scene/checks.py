@@ -38,9 +38,11 @@ def check_scene(scene: Scene) -> None:
 
 
 def _check_leaves(name: str, owner: Any) -> None:
+    size = getattr(owner, "size", None)  # of a texture
+    known: dict[int | str, int] = {} if size is None else {"height": size[0], "width": size[1]}
     for field, dimensions in _dimensions(type(owner)).items():
         leaf = getattr(owner, field)
-        expected = [len(owner.names) if size in _ROWS else size for size in dimensions]
+        expected = [len(owner.names) if size in _ROWS else known.get(size, size) for size in dimensions]
         if not _is_float(getattr(leaf, "dtype", None)) or not _is_of_shape(leaf.shape, expected):
             wanted = ", ".join(map(str, expected))
             raise ValueError(f"{name}.{field}: expected floating-point numbers of shape [{wanted}], got {_told(leaf)}")

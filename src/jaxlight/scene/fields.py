@@ -10,6 +10,7 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 
@@ -106,6 +107,18 @@ def whole(where: str, value: Any, *, at_least: int) -> int:
     if isinstance(value, bool) or n < at_least:
         raise _refuse(where, value, allowed)
     return n
+
+
+def float_type(where: str, value: Any) -> jnp.dtype | None:
+    """A type of floating-point numbers; None, JAX's own, stays."""
+    allowed = "a floating-point type such as 'float32'"
+    try:
+        dtype = None if value is None else jnp.dtype(value)
+    except TypeError:
+        raise _refuse(where, value, allowed) from None
+    if dtype is not None and not jnp.issubdtype(dtype, jnp.floating):
+        raise _refuse(where, value, allowed)
+    return dtype
 
 
 def spot_angle(where: str, value: Any) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 
 from . import nodes
 from .document import Document, PlacedShape, PlacedViewpoint
+from .fields import float_type
 from .flags import Flags
 from .scene import DirectionalLights, Fog, Materials, PointLights, Scene, SpotLights, Surface, Texture
 from .transforms import IDENTITY, compose, frame_kind, is_invertible, transform_matrix
@@ -113,7 +114,7 @@ def scene_from_nodes(children: nodes.Node | Sequence[nodes.Node], *, dtype: Any 
         ]
 
     directional, point, spot = of_kind(nodes.DirectionalLight), of_kind(nodes.PointLight), of_kind(nodes.SpotLight)
-    stack = _Stack(dtype)
+    stack = _Stack(float_type("dtype", dtype))
     document = Document(
         children=roots,
         shapes=tuple(placed),
@@ -132,7 +133,7 @@ def scene_from_nodes(children: nodes.Node | Sequence[nodes.Node], *, dtype: Any 
         point=stack.point(point),
         spot=stack.spot(spot),
         fog=stack.fog(*walk.fogs[0]) if walk.fogs else None,
-        textures=tuple(Texture(stack.floats(node.image), node.name) for node in textures),
+        textures=tuple(Texture(stack.floats(node.image), node.name, node.image.shape[:2]) for node in textures),
         surfaces=tuple(surface for surface, _ in surfaces),
         document=document,
     )

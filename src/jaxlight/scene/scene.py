@@ -125,6 +125,8 @@ class Texture(eqx.Module):
 
     image: Float[Array, "height width components"]
     name: str = eqx.field(static=True, default="")
+    size: tuple[int, int] | None = eqx.field(static=True, default=None)
+    """The image's height and width, by which sample buffers count texels; None: not known, and not checked."""
 
 
 class Scene(eqx.Module):
