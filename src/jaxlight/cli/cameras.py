@@ -22,7 +22,7 @@ def camera_of(scene: Scene, viewpoint: str) -> Camera:
     names = [one.node.name for one in placed]
     if viewpoint in names:
         return Camera.from_viewpoint(placed[names.index(viewpoint)])
-    if viewpoint.isdigit() and int(viewpoint) < len(placed):
+    if viewpoint.isdecimal() and int(viewpoint) < len(placed):
         return Camera.from_viewpoint(placed[int(viewpoint)])
     there = ", ".join(name or str(row) for row, name in enumerate(names)) or "it has none"
     raise ValueError(f"the scene has no viewpoint {viewpoint!r}: {there}")

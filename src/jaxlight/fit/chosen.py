@@ -100,7 +100,7 @@ def _exposure_rows(path: str, view_names: Sequence[str]) -> list[int]:
     if match:
         which = match[1]
         rows = [i for i, name in enumerate(view_names) if which == "*" or (name and fnmatch.fnmatchcase(name, which))]
-        if not rows and which.isdigit() and int(which) < len(view_names):
+        if not rows and which.isdecimal() and int(which) < len(view_names):
             rows = [int(which)]
     if not rows:
         close = difflib.get_close_matches(path, known, n=4, cutoff=0.0)

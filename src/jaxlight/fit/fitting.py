@@ -171,6 +171,8 @@ def fit(
     whole("max_steps", max_steps, at_least=1)
     whole("seed", seed, at_least=0)
     non_negative("checkpoint_seconds", checkpoint_seconds, infinite=True)
+    if log is not None and checkpoint is not None and Path(log) == Path(checkpoint):
+        raise ValueError(f"log: expected another file than the checkpoint, got {str(log)!r} for both")
     if resume and checkpoint is None:
         raise ValueError("resume: expected a checkpoint to resume from")
     if resume and overwrite:

@@ -15,7 +15,7 @@ from ..lighting import LightingOptions, shade_planes
 from ..lighting.checks import check_samples
 from ..raster.samples import SampleBuffer
 from ..scene import paths
-from ..scene.fields import positive
+from ..scene.fields import positive, whole
 from ..scene.paths import Path
 from ..scene.scene import Scene
 from .free import free_parameters
@@ -112,6 +112,7 @@ def check_gradients(
         raise ValueError("samples: there is nothing to check: the buffer holds no sample")
     if tolerance is not None:
         positive("tolerance", tolerance)
+    whole("seed", seed, at_least=0)
     chosen, switched_off = _checkable(scene, fields)
     skipped = tuple(field.path for field in switched_off)
     dtype = jnp.result_type(float, *(field.leaf.get(scene) for field in [*chosen, *switched_off]))

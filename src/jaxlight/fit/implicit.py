@@ -36,8 +36,10 @@ def fitted_values(
         The numbers of `Fit.values`, in the order of `Fit.labels`.
 
     Raises:
-        ValueError: whole textures are among the free fields.
+        ValueError: no problem of a fit; whole textures are among the free fields.
     """
+    if not isinstance(problem, Problem):
+        raise ValueError(f"problem: expected the problem of a fit (`Fit.problem`), got {type(problem).__name__}")
     if problem.parameters.blocks:
         raise ValueError("fitted_values: derivatives of fits of whole textures are not supported")
     problem = _with_every_term(problem)

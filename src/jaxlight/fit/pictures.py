@@ -47,6 +47,8 @@ def view_pictures(result: Fit, views: View | Sequence[View]) -> list[ViewPicture
     """
     each = [views] if isinstance(views, View) else list(views)
     fitted = len(result.exposure)
+    if not all(isinstance(view, View) for view in each):
+        raise ValueError("views: expected a View or a list of them")
     if len(each) != fitted:
         raise ValueError(f"views: expected the {fitted} that were fitted, got {len(each)}")
     return [

@@ -102,6 +102,8 @@ def make_problem(
         raise ValueError(f"loss: expected 'squares', 'huber' or 'cauchy', got {loss!r}")
     if loss != "squares":
         positive(f"loss_scale: for the {loss} loss", loss_scale)
+    elif loss_scale is not None:
+        raise ValueError(f"loss_scale: squares have none; expected None, or a loss that has, got {loss_scale!r:.60}")
     names = [view.name for view in each]
     dtype = _float_type(scene)
     _check_finite(scene)

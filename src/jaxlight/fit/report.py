@@ -22,6 +22,7 @@ from ..formats.quantize import quantize
 from ..formats.safe_write import written_whole
 from ..image import encode
 from ..image.encode import Transfer
+from ..scene.fields import string
 from .fitting import Fit
 from .pictures import ViewPictures, view_pictures
 from .steps import Step
@@ -63,6 +64,7 @@ def write_report(
     """
     if not isinstance(result, Fit):
         raise ValueError(f"result: expected a Fit, got {type(result).__name__}")
+    string("title", title)
     pictures = view_pictures(result, views)
     page = report_page(result, pictures, title=title, transfer=transfer, warnings=warnings)
     with written_whole(Path(path)) as draft:

@@ -51,8 +51,11 @@ def compare(image: Any, reference: Any, mask: Any = None, *, peak: float = 1.0) 
         The errors over all channels of the compared pixels; printed, they are one line.
 
     Raises:
-        ValueError: shapes that differ, a mask that leaves nothing, a compared value that is not finite.
+        ValueError: shapes that differ, a mask that leaves nothing, a compared value that is not finite, a `peak`
+            that is not > 0.
     """
+    if not peak > 0:
+        raise ValueError(f"compare: peak: expected a number > 0, got {peak!r:.60}")
     a, b = _image("image", image), _image("reference", reference)
     if a.shape != b.shape:
         raise ValueError(f"compare: image has shape {list(np.shape(image))}, reference {list(np.shape(reference))}")

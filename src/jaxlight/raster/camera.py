@@ -10,8 +10,9 @@ import numpy as np
 
 from ..scene import Scene, nodes
 from ..scene.document import PlacedViewpoint
-from ..scene.fields import number
+from ..scene.fields import number, whole
 from ..scene.transforms import IDENTITY, apply_to_points, rotation_matrix
+from .pattern import sample_pattern
 from .tessellate import MIN_SEGMENTS, tessellate
 
 DEFAULT_VIEWPOINT = nodes.Viewpoint()
@@ -225,10 +226,9 @@ class Camera:
             width * height * samples rays in world space.
 
         Raises:
-            ValueError: `samples` is no whole number in [1, 256].
+            ValueError: `width` or `height` is no whole number >= 1, `samples` none in [1, 256].
         """
-        from .pattern import sample_pattern
-
+        width, height = (whole(f"rays: {name}", n, at_least=1) for name, n in (("width", width), ("height", height)))
         offsets = sample_pattern(samples)
         u = np.arange(width)[None, :, None] + offsets[:, 0]
         v = np.arange(height)[:, None, None] + offsets[:, 1]

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..formats.levels import is_chosen
+from ..scene.fields import positive, vector3
 from .camera import Camera
 from .map_values import fitted, map_values
 from .pattern import morton
@@ -34,11 +35,10 @@ class Orthographic:
     """[3, 3], camera axes to world axes."""
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.pixel_size) and self.pixel_size > 0):
-            raise ValueError(f"Orthographic.pixel_size: expected a finite number > 0, got {self.pixel_size!r}")
-        checked = Camera(np.asarray(self.center, dtype=np.float64), self.rotation, field_of_view=1.0)
+        object.__setattr__(self, "pixel_size", positive("Orthographic.pixel_size", self.pixel_size))
+        object.__setattr__(self, "center", vector3("Orthographic.center", self.center))
+        checked = Camera(np.asarray(self.center), self.rotation, field_of_view=1.0)
         object.__setattr__(self, "rotation", checked.rotation)
-        object.__setattr__(self, "center", tuple(checked.position.tolist()))
 
 
 def samples_from_maps(

@@ -109,6 +109,14 @@ def whole(where: str, value: Any, *, at_least: int) -> int:
     return n
 
 
+def integer(where: str, value: Any) -> int:
+    """One whole number."""
+    x = number(where, value)
+    if x != int(x):
+        raise _refuse(where, value, "a whole number")
+    return int(x)
+
+
 def float_type(where: str, value: Any) -> jnp.dtype | None:
     """A type of floating-point numbers; None, JAX's own, stays."""
     allowed = "a floating-point type such as 'float32'"

@@ -20,6 +20,7 @@ from .fields import (
     color_rows,
     direction,
     index_list,
+    integer,
     non_negative,
     number,
     positive,
@@ -131,7 +132,7 @@ class Switch(Node):
 
     accepts = {"children": ("*",)}
     children: tuple[Node, ...] = _nodes()
-    which_choice: int = _field(-1, lambda where, value: int(number(where, value)))
+    which_choice: int = _field(-1, integer)
     name: str = _field("", string)
 
 

@@ -156,6 +156,8 @@ def select(scene: Scene, path: Path | Iterable[Path]) -> list[Selection]:
     Raises:
         ValueError: nothing in the scene has this path; lists the closest that exist.
     """
+    if not isinstance(path, Iterable) and not callable(path):
+        raise ValueError(f"fields: expected paths such as 'Material[0].diffuse_color', got {path!r:.60}")
     paths = [path] if isinstance(path, str) or callable(path) else list(path)
     masks: dict[Leaf, np.ndarray] = {}
     for one in paths:
@@ -247,7 +249,7 @@ def _matching_rows(path: str, kind: str, owner: Any, row: str | None) -> list[in
             rows = ", ".join(f"{kind}[{i}]" for i in matching)
             raise ValueError(f"{path!r}: {len(matching)} nodes have this name; write the row number: {rows}")
         return matching
-    if row.isdigit():
+    if row.isdecimal():
         return [int(row)] if int(row) < len(names) else []
     return [i for i, name in enumerate(names) if fnmatch.fnmatchcase(name, row)] if row != "*" else [*range(len(names))]
 
@@ -312,7 +314,10 @@ def _by_function(scene: Scene, function: Callable[[Scene], Any]) -> list[tuple[L
     marked = scene
     for leaf, shape in shapes.items():
         marked = leaf.set(marked, _Marker(leaf, np.arange(math.prod(shape)).reshape(shape)))
-    chosen = function(marked)
+    try:
+        chosen = function(marked)
+    except (AttributeError, IndexError, KeyError, TypeError) as error:
+        raise ValueError(f"a function that chooses fields fails on this scene: {error}") from error
     found = []
     for marker in chosen if isinstance(chosen, (list, tuple)) else (chosen,):
         if not isinstance(marker, _Marker):

@@ -1,0 +1,97 @@
+"""Arguments that are none are refused by name, with what came and what is allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jaxlight import (
+    Camera,
+    Fit,
+    Orthographic,
+    Scene,
+    View,
+    check_gradients,
+    compare,
+    fit,
+    fitted_values,
+    nodes,
+    rasterize,
+    write_report,
+)
+
+DIFFUSE = "Material[0].diffuse_color"
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """A sphere under a point light."""
+    ball = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()), geometry=nodes.Sphere())
+    return Scene.from_nodes([ball, nodes.PointLight(location=(0, 0, 3), name="lamp")])
+
+
+@pytest.fixture(scope="module")
+def view(scene: Scene) -> View:
+    """Of the scene, black."""
+    samples = rasterize(scene, Camera.look_at((0, 0, 5), (0, 0, 0)), 8, 8)
+    return View(samples, np.zeros((8, 8, 3)))
+
+
+@pytest.fixture(scope="module")
+def result(scene: Scene, view: View) -> Fit:
+    """A fit of one step."""
+    return fit(scene, view, DIFFUSE, max_steps=1)
+
+
+FREE: list[tuple[Any, str]] = [
+    (lambda s: s.materials.diffuse_color[5], "fails on this scene: index 5 is out of bounds"),
+    (lambda s: s.spot.location, "fails on this scene: 'NoneType' object has no attribute 'location'"),
+    (lambda s: s.materials.diffuse_color.at[0], "fails on this scene: .* no attribute 'at'"),
+    ("Material[\u00b2].diffuse_color", "the scene has no field"),
+    ("View[\u00b2].exposure", "there is no field"),
+    (3, "free: expected a field path, a function of the scene or a Free, got 3"),
+]
+
+
+@pytest.mark.parametrize(("free", "message"), FREE)
+def test_fields_that_are_none(scene: Scene, view: View, free: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        fit(scene, view, [free] if callable(free) else free)
+
+
+OTHERS: list[tuple[Callable[[Scene, View, Fit], Any], str]] = [
+    (lambda s, v, r: fit(s, v, DIFFUSE, loss_scale=0.5), "loss_scale: squares have none; .* got 0.5"),
+    (lambda s, v, r: fit(s, v, DIFFUSE, log="a.npz", checkpoint="a.npz"), "log: expected another file than the check"),
+    (lambda s, v, r: fitted_values(r), "problem: expected the problem of a fit .* got Fit"),  # type: ignore[arg-type]
+    (lambda s, v, r: check_gradients(s, v.samples, 3), "fields: expected paths"),  # type: ignore[arg-type]
+    (lambda s, v, r: check_gradients(s, v.samples, seed="a"), "seed: expected a whole number >= 0, got 'a'"),  # type: ignore[arg-type]
+    (lambda s, v, r: write_report("a.html", r, ["a"]), "views: expected a View or a list of them"),  # type: ignore[list-item]
+    (lambda s, v, r: write_report("a.html", r, v, title=None), "title: expected a string, got None"),  # type: ignore[arg-type]
+    (lambda s, v, r: Orthographic(None), "Orthographic.pixel_size: expected a finite number > 0, got None"),  # type: ignore[arg-type]
+    (lambda s, v, r: Orthographic("a"), "Orthographic.pixel_size: expected a finite number > 0, got 'a'"),  # type: ignore[arg-type]
+    (lambda s, v, r: Orthographic(center=(0, 0, np.nan)), "Orthographic.center: expected 3 finite numbers"),
+    (lambda s, v, r: Camera.default(s).rays(0, 10), "rays: width: expected a whole number >= 1, got 0"),
+    (lambda s, v, r: Camera.default(s).rays(3, 2.5), "rays: height: expected a whole number >= 1, got 2.5"),  # type: ignore[arg-type]
+    (lambda s, v, r: compare(v.target, v.target, peak=0), "compare: peak: expected a number > 0, got 0"),
+    (lambda s, v, r: nodes.Switch(which_choice=0.9), "which_choice: expected a whole number, got 0.9"),  # type: ignore[arg-type]
+]
+
+
+@pytest.mark.parametrize(("act", "message"), OTHERS)
+def test_other_arguments_that_are_none(
+    scene: Scene,
+    view: View,
+    result: Fit,
+    act: Callable[[Scene, View, Fit], Any],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=message):
+        act(scene, view, result)
+    assert not list(tmp_path.iterdir())
