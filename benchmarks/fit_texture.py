@@ -45,7 +45,7 @@ def texture_problem(size: int, pixels: int) -> TextureProblem:
         picture = np.asarray(shade(truth, samples))[:, :3].reshape(pixels, pixels, 3)
         views.append(View(samples, picture, name=f"view{number}"))
     free = ["Texture[0].image", "PointLight[*].location", "PointLight[1].intensity"]
-    values = np.array([*LIGHTS[0]["location"], *LIGHTS[1]["location"], LIGHTS[1]["intensity"]])  # type: ignore[misc]
+    values = np.array([*LIGHTS[0]["location"], *LIGHTS[1]["location"], LIGHTS[1]["intensity"]])
     return TextureProblem(
         _scene(np.full((size, size, 3), 0.5), START), views, free, image, values, seen.reshape(size, size)
     )

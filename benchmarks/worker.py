@@ -84,13 +84,6 @@ class Cases:
         contender.release()
         return {"bytes": peak_bytes(run)}
 
-    def forget(self, case: str) -> dict[str, Any]:
-        """Drops a case, and its arrays where no other case has them."""
-        self.runs.pop(case, None)
-        used = {id(contender) for _, contender in self.runs.values()}
-        self.contenders = {work: pair for work, pair in self.contenders.items() if id(pair[0]) in used}
-        return {}
-
 
 def pin(cores: Sequence[int]) -> None:
     """Keeps this process on these cores; none, or a system that cannot: wherever it likes."""

@@ -88,7 +88,7 @@ def scenes_and_samples(cases: Sequence[Case], dtype: Any) -> tuple[Scene, Sample
         fog=None if first.fog is None else _fog(cases, stack),
         textures=(Texture(stack([[[case.sample.texel]] for case in cases])),) if texel else (),
         surfaces=(surface,),
-        document=None,  # type: ignore[arg-type]  # these scenes come from no nodes
+        document=None,
     )
     return scene, _samples(cases, stack)
 

@@ -66,18 +66,18 @@ def test_fields_that_are_none(scene: Scene, view: View, free: Any, message: str)
 OTHERS: list[tuple[Callable[[Scene, View, Fit], Any], str]] = [
     (lambda s, v, r: fit(s, v, DIFFUSE, loss_scale=0.5), "loss_scale: squares have none; .* got 0.5"),
     (lambda s, v, r: fit(s, v, DIFFUSE, log="a.npz", checkpoint="a.npz"), "log: expected another file than the check"),
-    (lambda s, v, r: fitted_values(r), "problem: expected the problem of a fit .* got Fit"),  # type: ignore[arg-type]
-    (lambda s, v, r: check_gradients(s, v.samples, 3), "fields: expected paths"),  # type: ignore[arg-type]
-    (lambda s, v, r: check_gradients(s, v.samples, seed="a"), "seed: expected a whole number >= 0, got 'a'"),  # type: ignore[arg-type]
-    (lambda s, v, r: write_report("a.html", r, ["a"]), "views: expected a View or a list of them"),  # type: ignore[list-item]
-    (lambda s, v, r: write_report("a.html", r, v, title=None), "title: expected a string, got None"),  # type: ignore[arg-type]
-    (lambda s, v, r: Orthographic(None), "Orthographic.pixel_size: expected a finite number > 0, got None"),  # type: ignore[arg-type]
-    (lambda s, v, r: Orthographic("a"), "Orthographic.pixel_size: expected a finite number > 0, got 'a'"),  # type: ignore[arg-type]
+    (lambda s, v, r: fitted_values(r), "problem: expected the problem of a fit .* got Fit"),
+    (lambda s, v, r: check_gradients(s, v.samples, 3), "fields: expected paths"),
+    (lambda s, v, r: check_gradients(s, v.samples, seed="a"), "seed: expected a whole number >= 0, got 'a'"),
+    (lambda s, v, r: write_report("a.html", r, ["a"]), "views: expected a View or a list of them"),
+    (lambda s, v, r: write_report("a.html", r, v, title=None), "title: expected a string, got None"),
+    (lambda s, v, r: Orthographic(None), "Orthographic.pixel_size: expected a finite number > 0, got None"),
+    (lambda s, v, r: Orthographic("a"), "Orthographic.pixel_size: expected a finite number > 0, got 'a'"),
     (lambda s, v, r: Orthographic(center=(0, 0, np.nan)), "Orthographic.center: expected 3 finite numbers"),
     (lambda s, v, r: Camera.default(s).rays(0, 10), "rays: width: expected a whole number >= 1, got 0"),
-    (lambda s, v, r: Camera.default(s).rays(3, 2.5), "rays: height: expected a whole number >= 1, got 2.5"),  # type: ignore[arg-type]
+    (lambda s, v, r: Camera.default(s).rays(3, 2.5), "rays: height: expected a whole number >= 1, got 2.5"),
     (lambda s, v, r: compare(v.target, v.target, peak=0), "compare: peak: expected a number > 0, got 0"),
-    (lambda s, v, r: nodes.Switch(which_choice=0.9), "which_choice: expected a whole number, got 0.9"),  # type: ignore[arg-type]
+    (lambda s, v, r: nodes.Switch(which_choice=0.9), "which_choice: expected a whole number, got 0.9"),
 ]
 
 

@@ -43,7 +43,7 @@ def test_what_is_shared_is_computed_in_one_loop() -> None:
     planes = [jnp.asarray(plane, jnp.float32) for plane in PLANES]
 
     def loops_that_multiply(function: object) -> int:
-        program = jax.jit(function).lower(*planes).compile().as_text()  # type: ignore[arg-type]
+        program = jax.jit(function).lower(*planes).compile().as_text()
         computations = re.split(r"^(?:ENTRY )?%?[\w.]+ \(", program, flags=re.MULTILINE)
         return sum(" multiply(" in computation for computation in computations)
 

@@ -114,7 +114,7 @@ def test_sample_patterns_fill_every_row_and_column(samples: int) -> None:
         (lambda: Camera.look_at((0, 0, math.nan), (0, 2, 0)), r"look_at: eye: expected \[3\] finite numbers"),
         (lambda: Camera.look_at((0, 0, 1), (0, 0, 0), field_of_view=math.pi), r"radians in \(0, pi\)"),
         (lambda: Camera(np.zeros(3), np.diag([1, 1, -1.0]), 1.0), "expected a rotation matrix"),
-        (lambda: Camera.look_at((0, 0, 1), (0, 0, 0), field_of_view="wide"), "radians in .*, got 'wide'"),  # type: ignore[arg-type]
+        (lambda: Camera.look_at((0, 0, 1), (0, 0, 0), field_of_view="wide"), "radians in .*, got 'wide'"),
         (lambda: Camera(np.zeros(3), np.eye(3)), "either field_of_view or intrinsics"),
         (lambda: Camera.from_intrinsics(), "a matrix K, or all of fx, fy, cx, cy"),
         (lambda: Camera.from_intrinsics(fx=1, fy=1, cx=2), "a matrix K, or all of fx, fy, cx, cy"),
@@ -129,10 +129,10 @@ def test_sample_patterns_fill_every_row_and_column(samples: int) -> None:
         (
             lambda: Camera.from_intrinsics(np.eye(3), pixel_center="a"),
             "pixel_center: expected a finite number, got 'a'",
-        ),  # type: ignore[arg-type]
-        (lambda: Camera.from_viewpoint(3), "from_viewpoint: expected a Viewpoint, got int"),  # type: ignore[arg-type]
-        (lambda: Camera.default([nodes.Shape()]), "Camera.default: expected a Scene, got list"),  # type: ignore[arg-type]
-        (lambda: Camera.view_all("a.x3d"), "Camera.view_all: expected a Scene, got str"),  # type: ignore[arg-type]
+        ),
+        (lambda: Camera.from_viewpoint(3), "from_viewpoint: expected a Viewpoint, got int"),
+        (lambda: Camera.default([nodes.Shape()]), "Camera.default: expected a Scene, got list"),
+        (lambda: Camera.view_all("a.x3d"), "Camera.view_all: expected a Scene, got str"),
         (lambda: Camera.view_all(Scene.from_nodes([nodes.Group()])), "no shape with geometry"),
         *(
             (
@@ -144,9 +144,9 @@ def test_sample_patterns_fill_every_row_and_column(samples: int) -> None:
             for angle in (0.0, -1.0, math.nan, 7.0)
         ),
         (lambda: sample_pattern(0), r"whole number of samples a pixel in \[1, 256\], got 0"),
-        (lambda: sample_pattern(2.0), "whole number"),  # type: ignore[arg-type]
+        (lambda: sample_pattern(2.0), "whole number"),
     ],
 )
 def test_errors_say_what_is_wrong(make: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        make()  # type: ignore[operator]
+        make()

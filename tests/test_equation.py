@@ -69,7 +69,7 @@ def tables() -> Iterator[tuple[str, Case]]:
                 LAMP,
                 sample=dataclasses.replace(SAMPLE, texel=TEXELS[components], color=COLORS[color]),
                 material=None if kind == "unlit" else BODY,
-                options=Options(texture_mode=mode),  # type: ignore[arg-type]  # one of the two
+                options=Options(texture_mode=mode),
                 line_or_point=kind == "line",
             ),
         )
@@ -98,7 +98,7 @@ def fields() -> Iterator[tuple[str, Case]]:
         for name, frame in {"similarity": SIMILAR, "uneven": UNEVEN}.items():
             yield f"{light.kind} in a {name} frame", case(dataclasses.replace(light, frame=frame))
         for level in (1, 2, 3):
-            options = Options(support_level=level)  # type: ignore[arg-type]  # one of the three
+            options = Options(support_level=level)
             yield (
                 f"{light.kind} at level {level}",
                 case(light, dataclasses.replace(SUN, in_scope=False), options=options),

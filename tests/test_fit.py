@@ -409,7 +409,7 @@ def test_a_scene_with_a_number_that_is_none_is_refused() -> None:
         with pytest.raises(ValueError, match="views: expected a View"):
             fit(scene, [], FREE)
         with pytest.raises(ValueError, match="views: expected a View"):
-            fit(scene, None, FREE)  # type: ignore[arg-type]
+            fit(scene, None, FREE)
 
 
 # --- other minimisers ----------------------------------------------------------------------------------------------------

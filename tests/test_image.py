@@ -66,7 +66,7 @@ def test_render_is_the_same_under_jit_and_differentiable() -> None:
         changed = eqx.tree_at(lambda s: s.materials.diffuse_color, scene, color)
         return jnp.sum(render(changed, samples, options) ** 2)
 
-    color = scene.materials.diffuse_color  # type: ignore[union-attr]
+    color = scene.materials.diffuse_color
     gradient = jax.grad(brightness)(color)
     step = 1e-2
     expected = [
@@ -98,6 +98,22 @@ def test_the_sky_changes_with_the_angle_from_the_zenith() -> None:
     unknown = eqx.tree_at(lambda s: s.pixel_to_world, samples, None)
     np.testing.assert_array_equal(sky(scene, unknown), colors[0])
     np.testing.assert_array_equal(sky(sphere_scene(), samples), (0, 0, 0))
+
+
+@pytest.mark.parametrize("colors", [1, 3])
+@pytest.mark.parametrize("dtype", ["float16", "bfloat16"])
+def test_the_sky_behind_half_precision_is_that_of_float32(dtype: str, colors: int) -> None:
+    """Only what the buffer stores is rounded: the picture's rays, by 2^-8."""
+    background = nodes.Background(
+        sky_color=[(0.1, 0.2, 0.3), (0.9, 0.8, 0.7), (0, 0, 0)][:colors], sky_angle=[1, 2][: colors - 1]
+    )
+    shape = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()), geometry=nodes.Sphere(radius=0.2))
+    scene, camera = Scene.from_nodes([background, shape]), Camera.look_at((0, 0, 5), (0, 0, 0))
+    half, single = (render(scene, rasterize(scene, camera, 200, 50, dtype=t)) for t in (dtype, "float32"))
+    assert half.dtype == single.dtype == np.float32
+    corner = (slice(None, 10), slice(None, 50))
+    np.testing.assert_allclose(half[corner], single[corner], atol=1e-7 if colors == 1 else 5e-3)
+    assert len(np.unique(half[0, :, 0])) == (1 if colors == 1 else 200)
 
 
 def test_resolve_sums_what_lies_in_a_pixel() -> None:
@@ -180,9 +196,9 @@ def test_comparison_figures() -> None:
         ),
         (lambda: encode(np.zeros(3, np.uint8)), "image: got uint8; divide by 255"),
         (lambda: decode(np.zeros(3, np.uint16)), "image: got uint16; divide by 65535"),
-        (lambda: encode(np.zeros(3), "gamma"), "expected 'none' or 'srgb', got 'gamma'"),  # type: ignore[arg-type]
+        (lambda: encode(np.zeros(3), "gamma"), "expected 'none' or 'srgb', got 'gamma'"),
     ],
 )
 def test_errors_say_what_is_wrong(act: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        act()  # type: ignore[operator]
+        act()

@@ -59,7 +59,7 @@ def test_depth_and_normals_of_the_camera(seen: SampleBuffer, kind: str) -> None:
         picture(seen, np.asarray(seen.normal) @ CAMERA.rotation),
         CAMERA,
         depth=picture(seen, depth),
-        depth_kind=kind,  # type: ignore[arg-type]
+        depth_kind=kind,
     )
     assert_same(found, seen)
     in_camera = samples_from_maps(
@@ -203,7 +203,7 @@ def test_errors_name_the_map(normal: object, arguments: dict, message: str) -> N
 
 def test_errors_of_views_and_files(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="view: expected a Camera or an Orthographic view"):
-        samples_from_maps(NORMAL, "front", depth=1.0)  # type: ignore[arg-type]
+        samples_from_maps(NORMAL, "front", depth=1.0)
     with pytest.raises(ValueError, match="pixel_size: expected a finite number > 0"):
         Orthographic(pixel_size=0)
     np.savez(tmp_path / "two.npz", a=NORMAL, b=NORMAL)

@@ -75,7 +75,7 @@ def obj(tmp_path: Path) -> Path:
 
 def test_obj_with_materials_texture_and_seams(obj: Path) -> None:
     with pytest.warns(SceneFileWarning, match="mtl map_bump x1"):
-        red, blue = sorted(shapes_of(obj), key=lambda shape: shape.appearance.material.name, reverse=True)  # type: ignore[union-attr]
+        red, blue = sorted(shapes_of(obj), key=lambda shape: shape.appearance.material.name, reverse=True)
     assert red.appearance is not None and blue.appearance is not None
     material = red.appearance.material
     assert material is not None and material.name == "red"
@@ -91,9 +91,9 @@ def test_obj_with_materials_texture_and_seams(obj: Path) -> None:
     assert isinstance(geometry, n.IndexedFaceSet)
     expected = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]])
     assert np.array_equal(triangles(geometry), expected)
-    assert len(geometry.coord.point) == 4  # type: ignore[union-attr]  # the seam does not split the surface
+    assert len(geometry.coord.point) == 4
     corners = geometry.tex_coord_index.reshape(-1, 4)[:, :3]
-    uv = geometry.tex_coord.point[corners]  # type: ignore[union-attr]
+    uv = geometry.tex_coord.point[corners]
     assert np.array_equal(uv, [[[0, 0], [1, 0], [1, 1]], [[0.5, 0.5], [1, 1], [0, 1]]])
     assert blue.appearance.material is not None
     assert (blue.appearance.material.diffuse_color, blue.appearance.material.transparency) == ((0, 0, 1), 0.5)
@@ -112,7 +112,7 @@ def test_what_an_obj_names_is_read_from_its_folder_only(obj: Path, tmp_path: Pat
     (inside / "a.obj").write_text(OBJ)
     (inside / "box.mtl").write_text(MTL.replace("-s 1 1 1 red.png", "../red.png"))
     with pytest.warns(SceneFileWarning, match="'../red.png' is outside the scene's folder"):
-        assert all(shape.appearance.texture is None for shape in shapes_of(inside / "a.obj"))  # type: ignore[union-attr]
+        assert all(shape.appearance.texture is None for shape in shapes_of(inside / "a.obj"))
 
 
 def test_a_missing_material_library_is_said(tmp_path: Path) -> None:
@@ -153,7 +153,7 @@ def test_vertex_colors_are_kept_with_alpha_if_any_is_not_one(tmp_path: Path, alp
     box.visual = trimesh.visual.ColorVisuals(box, vertex_colors=colors)
     (tmp_path / "box.ply").write_bytes(box.export(file_type="ply"))
     (shape,) = shapes_of(tmp_path / "box.ply")
-    color = shape.geometry.color  # type: ignore[union-attr]
+    color = shape.geometry.color
     assert type(color) is (n.Color if alpha == 255 else n.ColorRGBA)
     expected = colors[:, : color.color.shape[1]] / 255
     assert np.array_equal(color.color, expected)
@@ -166,7 +166,7 @@ def test_face_colors_are_kept(tmp_path: Path) -> None:
     (tmp_path / "faces.ply").write_text(text)
     (shape,) = shapes_of(tmp_path / "faces.ply")
     assert isinstance(shape.geometry, n.IndexedFaceSet) and not shape.geometry.color_per_vertex
-    assert shape.geometry.color.color.tolist() == [[1, 0, 0], [0, 0, 1]]  # type: ignore[union-attr]
+    assert shape.geometry.color.color.tolist() == [[1, 0, 0], [0, 0, 1]]
 
 
 # --- glTF -----------------------------------------------------------------------------------------------------------
@@ -176,7 +176,7 @@ def rewritten(glb: bytes, change: object) -> bytes:
     """The glb with its JSON header changed by a function."""
     length = struct.unpack_from("<I", glb, 12)[0]
     header = json.loads(glb[20 : 20 + length])
-    change(header)  # type: ignore[operator]
+    change(header)
     text = json.dumps(header).encode()
     text += b" " * (-len(text) % 4)
     rest = glb[20 + length :]
@@ -232,10 +232,10 @@ def test_gltf_materials_are_exact_shared_and_named(tmp_path: Path, glb: bytes) -
     (texture,) = scene.document.textures
     assert texture.image is not None
     assert texture.image.tolist() == [[[0, 1, 0]], [[1, 0, 0]]]  # opaque: without alpha; row 0 is the bottom
-    boxes = [placed.node for placed in scene.document.shapes if placed.node.appearance.texture]  # type: ignore[union-attr]
+    boxes = [placed.node for placed in scene.document.shapes if placed.node.appearance.texture]
     assert len(boxes) == 2
     assert boxes[0] is boxes[1]
-    assert boxes[0].geometry.solid  # type: ignore[union-attr]  # not doubleSided
+    assert boxes[0].geometry.solid
 
 
 def test_gltf_alpha_and_double_sides(tmp_path: Path, glb: bytes) -> None:
@@ -245,10 +245,10 @@ def test_gltf_alpha_and_double_sides(tmp_path: Path, glb: bytes) -> None:
 
     (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
     scene = load(tmp_path / "a.glb")
-    (box,) = {placed.node.geometry for placed in scene.document.shapes if placed.node.appearance.texture}  # type: ignore[union-attr]
-    assert not box.solid  # type: ignore[union-attr]
+    (box,) = {placed.node.geometry for placed in scene.document.shapes if placed.node.appearance.texture}
+    assert not box.solid
     assert next(node for node in scene.document.materials if node.name == "red").transparency == 0.75
-    assert scene.document.textures[0].image.shape == (2, 1, 4)  # type: ignore[union-attr]
+    assert scene.document.textures[0].image.shape == (2, 1, 4)
 
 
 @pytest.mark.parametrize("blended_first", [True, False])
@@ -266,7 +266,7 @@ def test_one_image_under_two_alpha_modes_is_two_textures(tmp_path: Path, glb: by
 
     (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
     appearances = [shape.appearance for shape in shapes_of(tmp_path / "a.glb")]
-    components = {a.material.name: a.texture.image.shape[2] for a in appearances}  # type: ignore[union-attr]
+    components = {a.material.name: a.texture.image.shape[2] for a in appearances}
     assert components == {"blended": 4, "opaque": 3}
 
 
@@ -288,7 +288,7 @@ def test_the_pixels_of_embedded_images_are_bounded_together(
     (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
     with pytest.warns(SceneFileWarning, match="1 file not used: the scene's textures have more than 4 pixels together"):
         shapes = shapes_of(tmp_path / "a.glb")
-    found = {s.appearance.material.name: s.appearance.texture is not None for s in shapes}  # type: ignore[union-attr]
+    found = {s.appearance.material.name: s.appearance.texture is not None for s in shapes}
     assert found == {"0": True, "1": True, "2": False}
 
 
@@ -310,10 +310,10 @@ def test_an_unlit_material_gives_way_to_the_colours_of_its_own_mesh_only(
         header |= {"meshes": meshes, "nodes": [{"mesh": 0}, {"mesh": 1}], "scenes": [{"nodes": [0, 1]}]}
 
     (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
-    materials = {shape.name: shape.appearance.material for shape in shapes_of(tmp_path / "a.glb")}  # type: ignore[union-attr]
+    materials = {shape.name: shape.appearance.material for shape in shapes_of(tmp_path / "a.glb")}
     if unlit:
         assert materials["colored"] is None
-        assert materials["plain"].emissive_color == (1, 0, 0)  # type: ignore[union-attr]
+        assert materials["plain"].emissive_color == (1, 0, 0)
     else:
         assert materials["colored"] is materials["plain"] is not None
 

@@ -294,13 +294,13 @@ def test_errors_say_what_is_wrong(arguments: dict, message: str) -> None:
 @pytest.mark.parametrize("camera", [VIEW, nodes.Viewpoint(), None])
 def test_something_else_than_a_scene_is_refused(camera: Camera | nodes.Viewpoint | None) -> None:
     with pytest.raises(ValueError, match="rasterize: scene: expected a Scene, got str"):
-        rasterize("scene.x3d", camera, 8, 8)  # type: ignore[arg-type]
+        rasterize("scene.x3d", camera, 8, 8)
 
 
 def test_sizes_may_be_numbers_of_numpy() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        samples = rasterize(Scene.from_nodes([ELLIPSOID]), VIEW, np.int64(8), np.int32(6), np.uint8(2))  # type: ignore[arg-type]
+        samples = rasterize(Scene.from_nodes([ELLIPSOID]), VIEW, np.int64(8), np.int32(6), np.uint8(2))
     assert [type(size) for size in (samples.width, samples.height)] == [int, int]
     assert (samples.width, samples.height) == (8, 6)
     created = SampleBuffer.create(

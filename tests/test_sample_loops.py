@@ -75,7 +75,7 @@ def test_results_stand_side_by_side(bits: str, compiled: bool) -> None:
     with precision(bits) as dtype:
         planes = [jnp.asarray(plane, dtype) for plane in PLANES]
         got = (jax.jit(looped) if compiled else looped)(*planes)
-        expected = np.stack(np.broadcast_arrays(*several(*planes)), axis=-1)  # type: ignore[call-overload]
+        expected = np.stack(np.broadcast_arrays(*several(*planes)), axis=-1)
         assert got.dtype == dtype and got.shape == (4, 64, 3)
         np.testing.assert_allclose(got, expected, rtol=4 * np.finfo(dtype).eps)
 

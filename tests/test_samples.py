@@ -61,6 +61,11 @@ def test_a_buffer_with_other_rows_is_one_made_of_them() -> None:
     np.testing.assert_allclose(shade(scene, got), wanted, rtol=1e-5, atol=1e-6)
 
 
+def test_an_empty_buffer_has_no_other_rows() -> None:
+    empty = SampleBuffer.create(np.zeros((0, 3)), np.zeros((0, 3)), (0, 0, 5))
+    assert empty.with_rows(position=empty.position, normal=empty.normal).position.shape == (0, 3)
+
+
 @pytest.mark.parametrize("by_place", [False, True])
 def test_derivatives_by_rows_are_those_by_planes(by_place: bool) -> None:
     scene, samples = small_lights(3), buffer(rows(1), by_place)

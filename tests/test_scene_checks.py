@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -88,6 +89,31 @@ def test_leaves_of_another_shape_or_type_are_refused(
     ):
         with pytest.raises(ValueError, match=message):
             act()
+
+
+@pytest.mark.parametrize("kind", ["directional", "point", "spot", "fog"])
+def test_a_frame_is_of_the_kind_that_is_stated(kind: str) -> None:
+    """Where all are the world's own, matrices are not read: other ones alone would change nothing."""
+    haze = nodes.Fog(visibility_range=30.0)
+    shape = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()), geometry=nodes.Sphere())
+    placed: dict[str, Any] = {"location": (0.5, 1.0, 4.0), "attenuation": (1.0, 0.5, 0.0)}
+    lights = [nodes.DirectionalLight(), nodes.PointLight(**placed), nodes.SpotLight(**placed)]
+    everything = (shape, *lights, haze)
+    plain = Scene.from_nodes(everything)
+    even = Scene.from_nodes(nodes.Transform(rotation=(0, 0, 1, 0.5), scale=(2, 2, 2), children=everything))
+    samples = rasterize(plain, Camera.look_at((0, 0, 8), (0, 0, 0)), 8, 8)
+    sheared = jnp.array([[1, 0.5, 1, 0], [0, 2, 0, 0], [0.2, 0.3, 3, 0]])
+    field, matrices = ("to_local", sheared[:, :3]) if kind == "fog" else ("to_world", sheared[None])
+    for scene in (plain, even):
+        owner, before = getattr(scene, kind), shade(scene, samples)
+
+        def changed(own: Any, scene: Scene = scene) -> Scene:
+            return eqx.tree_at(lambda s: getattr(s, kind), scene, own)
+
+        with pytest.raises(ValueError, match=f"{field}: `frame` states that it is of the kind '{owner.frame}'"):
+            shade(changed(dataclasses.replace(owner, **{field: matrices})), samples)
+        stated = changed(dataclasses.replace(owner, frame="general", **{field: matrices}))
+        assert np.max(np.abs(shade(stated, samples) - before)) > 1e-3
 
 
 def test_leaves_of_numpy_and_of_every_float_type_are_shaded(seen: tuple[Scene, SampleBuffer]) -> None:

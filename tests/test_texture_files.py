@@ -139,7 +139,7 @@ def test_a_texture_built_in_python_becomes_a_file(tmp_path: Path) -> None:
     for texture in (n.ImageTexture(image=image, url=("wood.png",)), n.ImageTexture(image=image, name="wood")):
         scene = Scene.from_nodes([n.Shape(appearance=n.Appearance(texture=texture), geometry=n.Box())])
         save(scene, tmp_path / "scene.x3d")
-        assert np.array_equal(load(tmp_path / "scene.x3d").document.textures[0].image, image)  # type: ignore[arg-type]
+        assert np.array_equal(load(tmp_path / "scene.x3d").document.textures[0].image, image)
     assert sorted(os.listdir(tmp_path)) == ["scene.x3d", "scene_wood.png", "wood.png"]
     named = Scene.from_nodes([n.Shape(appearance=n.Appearance(texture=n.ImageTexture(image=image, url=("wood.png",))))])
     save(named, tmp_path / "again.x3d")
@@ -155,8 +155,8 @@ def test_a_url_that_no_file_can_have_is_replaced_by_a_name_of_the_scene(tmp_path
     texture = n.ImageTexture(image=image, url=(url,))
     save(Scene.from_nodes([n.Shape(appearance=n.Appearance(texture=texture), geometry=n.Box())]), tmp_path / "a.x3d")
     (again,) = load(tmp_path / "a.x3d").document.textures
-    assert np.array_equal(again.image, image)  # type: ignore[arg-type]
-    assert again.url == ("a_texture.png",)  # type: ignore[union-attr]
+    assert np.array_equal(again.image, image)
+    assert again.url == ("a_texture.png",)
 
 
 @pytest.mark.parametrize("url", ["%00.png", "w" * 300 + ".png", "loop.png"])

@@ -173,8 +173,8 @@ def test_use_is_the_same_object(tmp_path: Path) -> None:
     assert isinstance(a, n.Shape) and isinstance(b, n.Group)
     again, same_appearance, same_material = b.children
     assert again is a
-    assert same_appearance.appearance is a.appearance  # type: ignore[attr-defined]
-    assert same_material.appearance.material is a.appearance.material  # type: ignore[attr-defined, union-attr]
+    assert same_appearance.appearance is a.appearance
+    assert same_material.appearance.material is a.appearance.material
 
 
 def test_the_latest_def_of_a_name_counts(tmp_path: Path) -> None:
@@ -200,20 +200,20 @@ def test_spot_light_defaults_follow_the_version(
     assert isinstance(light, n.SpotLight)
     assert (light.beam_width, light.cut_off_angle) == (beam_width, cut_off_angle)
     written = only_node(tmp_path, "<SpotLight beamWidth='0.25' cutOffAngle='0.5'/>", version)
-    assert (written.beam_width, written.cut_off_angle) == (0.25, 0.5)  # type: ignore[attr-defined]
+    assert (written.beam_width, written.cut_off_angle) == (0.25, 0.5)
 
 
 def test_angles_are_read_in_the_files_unit(tmp_path: Path) -> None:
     head = f"<head><unit category='angle' name='degree' conversionFactor='{math.pi / 180!r}'/></head>"
     light = only_node(tmp_path, "<SpotLight beamWidth='30' cutOffAngle='60'/>", head=head)
-    assert (light.beam_width, light.cut_off_angle) == pytest.approx((math.pi / 6, math.pi / 3))  # type: ignore[attr-defined]
+    assert (light.beam_width, light.cut_off_angle) == pytest.approx((math.pi / 6, math.pi / 3))
     turned = only_node(tmp_path, "<Transform rotation='0 0 1 90' scaleOrientation='1 0 0 180'/>", head=head)
-    assert turned.rotation == pytest.approx((0, 0, 1, math.pi / 2))  # type: ignore[attr-defined]
-    assert turned.scale_orientation == pytest.approx((1, 0, 0, math.pi))  # type: ignore[attr-defined]
+    assert turned.rotation == pytest.approx((0, 0, 1, math.pi / 2))
+    assert turned.scale_orientation == pytest.approx((1, 0, 0, math.pi))
     sky = only_node(tmp_path, "<Background skyAngle='45 90' skyColor='0 0 0 0 0 0 0 0 0'/>", head=head)
-    assert sky.sky_angle == pytest.approx((math.pi / 4, math.pi / 2))  # type: ignore[attr-defined]
+    assert sky.sky_angle == pytest.approx((math.pi / 4, math.pi / 2))
     moved = only_node(tmp_path, "<Transform translation='1 2 3' scale='4 5 6'/>", head=head)
-    assert (moved.translation, moved.scale) == ((1, 2, 3), (4, 5, 6))  # type: ignore[attr-defined]
+    assert (moved.translation, moved.scale) == ((1, 2, 3), (4, 5, 6))
 
 
 def test_container_fields_say_where_a_child_belongs(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ TEXTURED = "<Shape><Appearance><ImageTexture url='{}'/></Appearance></Shape>"
 def texture_of(path: Path, url: str) -> n.ImageTexture:
     path.write_text(x3d(TEXTURED.format(url)))
     (shape,) = read_nodes(path).children
-    texture = shape.appearance.texture  # type: ignore[attr-defined]
+    texture = shape.appearance.texture
     assert isinstance(texture, n.ImageTexture)
     return texture
 
@@ -33,7 +33,7 @@ def test_textures_come_from_beside_the_file_with_the_bottom_row_first(tmp_path: 
     expected = pixels[::-1] / 255.0
     for url in ('"maps/a b.png"', '"maps/a%20b.png"', "maps/a b.png", '"missing.png" "./maps/a b.png"'):
         texture = texture_of(tmp_path / "scene.x3d", url)
-        assert np.array_equal(texture.image, expected)  # type: ignore[arg-type]
+        assert np.array_equal(texture.image, expected)
 
 
 @pytest.mark.parametrize(
@@ -83,6 +83,6 @@ def test_the_pixels_of_all_textures_are_bounded_together(tmp_path: Path, monkeyp
     )
     with pytest.warns(SceneFileWarning, match="2 files not used: the scene's textures have more than 4 pixels"):
         shapes = read_nodes(tmp_path / "scene.x3d").children
-    there = [shape.appearance.texture.image is not None for shape in shapes]  # type: ignore[attr-defined]
+    there = [shape.appearance.texture.image is not None for shape in shapes]
     assert there == [True, True, True, False, False]
     assert decoded == ["a", "b", "c"]

@@ -125,5 +125,5 @@ def test_a_long_attribute_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     document = f"<X3D><Scene><Shape><TriangleSet><Coordinate point='{numbers}'/></TriangleSet></Shape></Scene></X3D>"
     ((shape,), _, _) = read_x3d(Path("many.x3d"), document.encode())
     assert fed == [len(document)]
-    point = shape.geometry.coord.point  # type: ignore[attr-defined]
+    point = shape.geometry.coord.point
     np.testing.assert_array_equal(point, np.broadcast_to([-0.123456, 1.5, 2.0], (300_000, 3)))

@@ -57,7 +57,7 @@ def with_values(scene: Scene, **changes: object) -> Scene:
             return getattr(getattr(s, group), field)
 
         old = leaf(scene)
-        scene = eqx.tree_at(leaf, scene, jnp.asarray(value, dtype=old.dtype))  # type: ignore[attr-defined]
+        scene = eqx.tree_at(leaf, scene, jnp.asarray(value, dtype=old.dtype))
     return scene
 
 
@@ -206,7 +206,7 @@ def test_a_folder_that_is_not_there_is_named_and_not_made(tmp_path: Path, textur
 
 def test_something_else_than_a_scene_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"save: scene: expected a Scene, got .*Path"):
-        save(tmp_path / "scene.x3d", Scene.from_nodes([n.Group()]))  # type: ignore[arg-type]
+        save(tmp_path / "scene.x3d", Scene.from_nodes([n.Group()]))
 
 
 def test_an_interrupted_write_leaves_the_old_file(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -289,7 +289,7 @@ def test_a_scene_built_in_python_comes_back(tmp_path: Path, dtype: type) -> None
         for a, b in zip(jax.tree.leaves(scene), jax.tree.leaves(again), strict=True):
             assert np.array_equal(a, b)
     shapes = again.document.shapes
-    assert shapes[0].node.appearance.material is shapes[1].node.appearance.material  # type: ignore[union-attr]
+    assert shapes[0].node.appearance.material is shapes[1].node.appearance.material
 
 
 def test_changed_numbers_of_a_scene_built_in_python_are_written(tmp_path: Path) -> None:
@@ -303,13 +303,13 @@ def test_nodes_without_a_name_that_are_used_twice_get_one(tmp_path: Path) -> Non
     save(Scene.from_nodes([ball, n.Group(children=(ball,)), n.Group(name="Shape_1")]), tmp_path / "scene.x3d")
     first, group, _ = load(tmp_path / "scene.x3d").document.children
     assert first.name == "Shape_2"
-    assert group.children[0] is first  # type: ignore[attr-defined]
+    assert group.children[0] is first
 
 
 def test_two_nodes_of_one_name_stay_two(tmp_path: Path) -> None:
     a, b = n.Shape(name="s", geometry=n.Box()), n.Shape(name="s", geometry=n.Sphere())
     save(Scene.from_nodes([a, b, a, b]), tmp_path / "scene.x3d")
-    kinds = [type(shape.geometry).__name__ for shape in load(tmp_path / "scene.x3d").document.children]  # type: ignore[attr-defined]
+    kinds = [type(shape.geometry).__name__ for shape in load(tmp_path / "scene.x3d").document.children]
     assert kinds == ["Box", "Sphere", "Box", "Sphere"]
 
 

@@ -93,7 +93,7 @@ class ScipyFit(JaxFit):
                 np.asarray(flat, np.float64),
                 lambda x: np.asarray(jacobian(jnp.asarray(x, flat.dtype), self._arguments), np.float64),
                 bounds=bounds if self._method == "trf" else (-np.inf, np.inf),
-                method=self._method,  # type: ignore[arg-type]  # one of SciPy's names
+                method=self._method,
                 xtol=1e-10,
                 ftol=1e-14,
                 gtol=1e-14,

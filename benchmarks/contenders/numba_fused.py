@@ -13,7 +13,6 @@ from .base import Contender, Operation, Run, ValueAndGradient
 
 LIGHT_FIELDS = ("ambient_intensity", "attenuation", "color", "intensity", "location", "radius")
 MATERIAL_FIELDS = ("ambient_intensity", "diffuse_color", "emissive_color", "shininess", "specular_color")
-_HALF = np.float32(0.5)
 _ONE = np.float32(1)
 _TINY = np.float32(1e-30)
 _ZERO = np.float32(0)

@@ -41,7 +41,7 @@ def run(options: Stress) -> int:
             found = list(pool.map(judge, [seed] * len(tasks), [options] * len(tasks), tasks))
     for part in found:
         for one in part:
-            tables[one.precision, one.quantity].merge(one)  # type: ignore[index]  # the precision of a task
+            tables[one.precision, one.quantity].merge(one)
     text = report(seed, options, list(tables.values()), time.monotonic() - start)
     print(text)
     options.output.mkdir(parents=True, exist_ok=True)
@@ -65,7 +65,7 @@ def judge(seed: int, options: Stress, task: Task) -> list[Table]:
             if quantity == "values":
                 _add(one, kind, block, block.judge_values())
             elif quantity != "second":
-                _add(one, kind, block, block.judge_derivatives(quantity))  # type: ignore[arg-type]  # the two modes
+                _add(one, kind, block, block.judge_derivatives(quantity))
             elif i == 0:
                 _add(one, kind, block, block.judge_second(options.second))
         done += len(cases)

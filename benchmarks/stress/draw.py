@@ -29,7 +29,7 @@ def find(seed: int, label: str, shapes: int) -> Case:
     kind, _, rest = label.partition(":")
     block = rest.partition(":")[0]
     if kind in ("random", "adversarial") and block.isdigit():
-        for case in _block(seed, kind, int(block), BLOCK, shapes):  # type: ignore[arg-type]  # one of the two
+        for case in _block(seed, kind, int(block), BLOCK, shapes):
             if case.label == label:
                 return case
     raise ValueError(f"case: expected a label like random:0:17 or adversarial:0:fog_edge[3]-1, got {label!r}")

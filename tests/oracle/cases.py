@@ -64,12 +64,12 @@ def _random_shape(rng: np.random.Generator, i: int) -> Case:
         sample=Sample(color=_numbers(rng, (0, 3, 4), 0.3), texel=_numbers(rng, (1, 2, 3, 4), 0.4)),
         material=material,
         lights=lights,
-        fog=Fog(fog_type=kind, frame=_frame_shape(rng)) if rng.random() < 0.3 else None,  # type: ignore[arg-type]
+        fog=Fog(fog_type=kind, frame=_frame_shape(rng)) if rng.random() < 0.3 else None,
         options=Options(
             texture_mode="modulate" if rng.random() < 0.3 else "replace",
             fog_unlit=bool(rng.random() < 0.8),
             specular_gate=bool(rng.random() < 0.15),
-            support_level=int(rng.choice([1, 2, 3], p=[0.05, 0.1, 0.85])),  # type: ignore[arg-type]
+            support_level=int(rng.choice([1, 2, 3], p=[0.05, 0.1, 0.85])),
         ),
         line_or_point=bool(rng.random() < 0.05),
     )
@@ -77,7 +77,7 @@ def _random_shape(rng: np.random.Generator, i: int) -> Case:
 
 def _light_shape(rng: np.random.Generator, kind: str) -> Light:
     on, in_scope = rng.random(2) < 0.95
-    return Light(kind=kind, on=bool(on), in_scope=bool(in_scope), frame=_frame_shape(rng))  # type: ignore[arg-type]
+    return Light(kind=kind, on=bool(on), in_scope=bool(in_scope), frame=_frame_shape(rng))
 
 
 def _frame_shape(rng: np.random.Generator) -> Frame | None:
@@ -139,7 +139,7 @@ def random_material(rng: np.random.Generator) -> Material:
 
 def random_light(rng: np.random.Generator, kind: str, position: Sequence[float] | np.ndarray) -> Light:
     """A light that usually reaches the position, in world coordinates."""
-    return _fill_light(rng, Light(kind=kind), position)  # type: ignore[arg-type]
+    return _fill_light(rng, Light(kind=kind), position)
 
 
 def _fill_light(rng: np.random.Generator, shape: Light, position: Sequence[float] | np.ndarray) -> Light:

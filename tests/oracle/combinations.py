@@ -136,7 +136,7 @@ def corners(rng: Rng) -> Point:
     )
     length = float(np.linalg.norm(to_eye))
     fog_type = "LINEAR" if rng.random() < 0.5 else "EXPONENTIAL"
-    fog = Fog(single(*rng.uniform(0, 1, 3)), fog_type, single(length * rng.choice([1.0, 1.001, 2.0]))[0])  # type: ignore[arg-type]  # one of the two
+    fog = Fog(single(*rng.uniform(0, 1, 3)), fog_type, single(length * rng.choice([1.0, 1.001, 2.0]))[0])
     paths = [("sample", "normal"), ("sample", "eye"), ("lights", 0, "location"), ("sample", "position")]
     return moving(rng, replace(case, fog=fog), paths[int(rng.integers(4))])
 

@@ -285,7 +285,7 @@ def dead_light(rng: Rng) -> Point:
     three = (bad, bad, bad)
     kind = str(rng.choice(KINDS))
     dead = Light(
-        kind=kind,  # type: ignore[arg-type]
+        kind=kind,
         ambient_intensity=bad,
         attenuation=three,
         beam_width=bad,

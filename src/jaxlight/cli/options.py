@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -31,11 +31,11 @@ class Reading:
     accuracy: Literal["full", "fast"] = "full"
     """fast: highlights to 1e-4 of themselves (docs/precision.md)."""
 
-    def lighting_options(self, **more: Any) -> LightingOptions:
+    def lighting_options(self) -> LightingOptions:
         """The library's form of these options."""
         from jaxlight.lighting import LightingOptions
 
-        return LightingOptions(**dataclasses.asdict(self), **more)
+        return LightingOptions(**dataclasses.asdict(self))
 
 
 SharedReading = Annotated[Reading, tyro.conf.arg(name="")]

@@ -23,7 +23,7 @@ class Moments(NamedTuple):
     square: Float[Array, "3 directions directions"]
     """J^T J"""
 
-    def __add__(self, other: Moments) -> Moments:  # type: ignore[override]  # sums over more tiles, not a longer tuple
+    def __add__(self, other: Moments) -> Moments:  # sums over more tiles, not a longer tuple
         return jax.tree.map(jnp.add, self, other)
 
 

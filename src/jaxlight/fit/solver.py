@@ -4,8 +4,7 @@
     search    damping by the gain ratio (`GainRatio`)
     solver    evaluates the loss at every trial and the normal equations only where a trial is accepted
 
-The derivatives come from two functions in `options` (`settled`, `normal_equations`), so that a problem with millions of
-residuals never forms its Jacobian; without them they are taken from the residual function.
+The derivatives come from functions in `options`, so that a problem with millions of residuals never forms its Jacobian.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from .curvature import Curvature, as_curvature
@@ -72,13 +70,13 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     crawls is not taken for one that has arrived. A sum of residuals that are not 0 often has its optimum on a kink (a
     sample on the line where N . L = 0), where no slope vanishes: there the solver is done when even the shortest steps
     lead upwards and the whole step left is a small part of the standard error that `freedom` (residuals less
-    parameters) implies; without `freedom` this test is off. And at a loss of `floor` or less, which is all rounding, it
-    is done as soon as the loss stops falling.
+    parameters) implies. And at a loss of `floor` or less, which is all rounding, it is done as soon as the loss stops
+    falling.
 
     Takes the `options` `normal_equations(y, args) -> (loss, gradient, curvature)` and `settled(y, args) -> (y, loss)`,
     which may move the numbers in which the residuals are linear to their best. Each trial is settled before it is
-    judged; with the joint step that is variable projection in Kaufman's form. And `curvature(y, args)`, some matrix of
-    the form that `normal_equations` gives, saves `init` from tracing these.
+    judged; with the joint step that is variable projection in Kaufman's form. `curvature(y, args)` is some matrix of
+    the form that `normal_equations` gives.
     """
 
     rtol: Any
@@ -97,25 +95,22 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         lower: Any,
         upper: Any,
         *,
-        strides: Strides | None = None,
-        freedom: Any = 0,
-        floor: Any = 0,
-        sampling: Any = (),
+        strides: Strides,
+        freedom: Any,
+        floor: Any,
+        sampling: Any,
     ) -> None:
         # Arrays, so that a changed tolerance compiles nothing anew.
         self.rtol, self.atol = jnp.asarray(rtol), jnp.asarray(atol)
         self.freedom = jnp.asarray(freedom, self.rtol.dtype)
         self.floor = jnp.asarray(floor, self.rtol.dtype)
         self.norm = optx.max_norm
-        lower, upper = jnp.asarray(lower), jnp.asarray(upper)
-        strides = Strides.none(lower.shape[0], lower.dtype) if strides is None else strides
-        self.descent = BoxDampedNewton(lower, upper, strides, sampling)
+        self.descent = BoxDampedNewton(jnp.asarray(lower), jnp.asarray(upper), strides, sampling)
         self.search = GainRatio()
 
     def init(self, fn: Any, y: Array, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> Any:
         zero = jnp.zeros((), y.dtype)
-        curvature_at = options.get("curvature") or (lambda y, args: _evaluators(fn, options)[1](y, args)[2])
-        shapes = eqx.filter_eval_shape(lambda y, args: as_curvature(curvature_at(y, args)), y, args)
+        shapes = eqx.filter_eval_shape(lambda y, args: as_curvature(options["curvature"](y, args)), y, args)
         curvature = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
         return SolverState(
             first_step=jnp.array(True),
@@ -136,13 +131,12 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     def step(
         self, fn: Any, y: Array, args: Any, options: Any, state: SolverState, tags: Any
     ) -> tuple[Array, SolverState, Any]:
-        settled_at, model_at = _evaluators(fn, options)
         proposed = state.y_eval
-        trial, trial_loss = settled_at(proposed, args)
+        trial, trial_loss = options["settled"](proposed, args)
         step_size, accept, result, search_state = self.judged(y, trial_loss, state)
 
         def accepted(_: None) -> tuple[Any, ...]:
-            loss, gradient, matrix = model_at(trial, args)
+            loss, gradient, matrix = options["normal_equations"](trial, args)
             curvature = as_curvature(matrix)
             model = self._model(loss, gradient, curvature)
             descent_state = self.descent.query(trial, model, state.descent_state)
@@ -163,8 +157,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         exhausted = (achievable <= 4 * eps * loss) & (achievable > state.achievable / 4) & ~state.first_step
         converged = (step_norm < 1) | (achievable <= 4 * eps**2 * loss) | exhausted
         offset_squared = achievable * self.freedom / (y.shape[0] * jnp.maximum(loss, jnp.finfo(y.dtype).tiny))
-        near = (self.freedom > 0) & (offset_squared < KINK_OFFSET**2)
-        at_kink = ~accept & (step_size < 1 / KINK_DAMPING) & near & ~converged
+        at_kink = ~accept & (step_size < 1 / KINK_DAMPING) & (offset_squared < KINK_OFFSET**2) & ~converged
         finite = jnp.isfinite(loss) & descent_state.all_finite()
         falls = accept & (loss < state.loss / 4)
         only_rounding = ~falls & ~state.first_step & (loss <= self.floor)
@@ -214,26 +207,6 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         self, fn: Any, y: Array, aux: Any, args: Any, options: Any, state: SolverState, tags: Any, result: Any
     ) -> tuple[Array, Any, dict[str, Any]]:
         return y, aux, {"num_accepted_steps": state.num_accepted_steps}
-
-
-def _evaluators(fn: Any, options: dict[str, Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """(values settled and their loss, normal equations), from the options or from the residual function."""
-    if "normal_equations" in options:
-        return options["settled"], options["normal_equations"]
-
-    def flat(y: Array, args: Any) -> Array:
-        return ravel_pytree(fn(y, args)[0])[0]
-
-    def unsettled(y: Array, args: Any) -> tuple[Array, Array]:
-        residual = flat(y, args)
-        return y, jnp.vdot(residual, residual) / 2
-
-    def normal_equations(y: Array, args: Any) -> tuple[Array, Array, Array]:
-        residual = flat(y, args)
-        jacobian = jax.jacfwd(flat)(y, args)
-        return jnp.vdot(residual, residual) / 2, jacobian.T @ residual, jacobian.T @ jacobian
-
-    return unsettled, normal_equations
 
 
 def default_tolerance(dtype: Any) -> tuple[float, float]:

@@ -51,12 +51,6 @@ class Strides(eqx.Module):
     group: Int[Array, " parameters"]
     """Components of one vector have the same number."""
 
-    @classmethod
-    def none(cls, count: int, dtype: object) -> Strides:
-        """No limits."""
-        zeros, endless = jnp.zeros(count, dtype), jnp.full(count, jnp.inf, dtype)  # type: ignore[arg-type]
-        return cls(endless, endless, zeros, zeros, jnp.arange(count))
-
     def limits(self, values: Float[Array, " parameters"]) -> tuple[Array, Array]:
         """(lower, upper) ends of the next step, relative to the present values."""
         squares = jax.ops.segment_sum((values - self.origin) ** 2, self.group, num_segments=values.shape[0])

@@ -12,7 +12,8 @@ Format = Literal["x3d", "glb", "obj", "ply", "stl"]
 
 READABLE = "X3D in its XML encoding (.x3d), glb, obj, ply, stl"
 
-_MESH_SUFFIXES: dict[str, Format] = {".glb": "glb", ".obj": "obj", ".ply": "ply", ".stl": "stl"}
+_TOLD_BY_SUFFIX: dict[str, Format] = {".obj": "obj", ".stl": "stl"}
+"""Text without a mark at its start, or bytes of any kind."""
 
 # (pattern at the start of the file, what it is): formats that are recognised, but not read yet.
 _NOT_YET = (
@@ -51,8 +52,8 @@ def detect_format(path: Path, data: bytes) -> Format:
         return "glb"
     if start.startswith((b"ply\n", b"ply\r")):
         return "ply"
-    if suffix in (".obj", ".stl"):
-        return _MESH_SUFFIXES[suffix]
+    if suffix in _TOLD_BY_SUFFIX:
+        return _TOLD_BY_SUFFIX[suffix]
     if suffix in (".glb", ".ply", ".x3d"):
         raise SceneFileError(path, 1, f"the content is not {suffix}: it starts with {start[:16]!r}")
     raise SceneFileError(path, None, f"unknown format; jaxlight reads {READABLE}")

@@ -264,7 +264,7 @@ def _heard(notes: ReadNotes) -> Iterator[None]:
     """What trimesh and NumPy say about a file while they read it becomes part of the one warning about the file."""
     logger = logging.getLogger("trimesh")
     handler = logging.Handler(logging.WARNING)
-    handler.emit = lambda record: notes.remarks.append(record.getMessage().partition("\n")[0])  # type: ignore[method-assign]
+    handler.emit = lambda record: notes.remarks.append(record.getMessage().partition("\n")[0])
     propagated, logger.propagate = logger.propagate, False
     logger.addHandler(handler)
     try:

@@ -27,11 +27,6 @@ class ReadScene:
     source: X3DSource | None
     """What writing back into the file needs; None for formats other than X3D."""
 
-    @property
-    def skipped(self) -> dict[str, int]:
-        """How many nodes and statements of each name were left out, with all that is in them."""
-        return dict(self.notes.skipped)
-
 
 def read_nodes(path: str | Path) -> ReadScene:
     """Read the nodes of a scene file: X3D (XML encoding), glb, obj with its mtl, ply, stl.

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..lighting.compiling import quick_jit
+from ..lighting.prepared import compute_dtype
 from ..raster import SampleBuffer
 from ..scene import Scene
 
@@ -21,7 +22,7 @@ def sky(scene: Scene, samples: SampleBuffer) -> Float[Array, "3"] | Float[Array,
     Returns:
         [3], or [height, width, 3] where the colour depends on the pixel.
     """
-    dtype = samples.position_planes.dtype
+    dtype = compute_dtype(samples)
     node = scene.document.background if scene.document is not None else None
     if node is None or len(node.sky_color) == 0:
         return jnp.zeros(3, dtype)

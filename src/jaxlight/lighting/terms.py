@@ -104,7 +104,7 @@ class Received(NamedTuple):
     specular: Array | None
     """What multiplies O_S; None: skipped."""
 
-    def __add__(self, other: Received) -> Received:  # type: ignore[override]  # a sum of light, not a tuple's
+    def __add__(self, other: Received) -> Received:  # a sum of light, not a tuple's
         return jax.tree.map(jnp.add, stored(self), stored(other))
 
 

@@ -20,7 +20,7 @@ class Vector(NamedTuple):
     y: Float[Array, ...]
     z: Float[Array, ...]
 
-    def __add__(self, other: Vector) -> Vector:  # type: ignore[override]  # a vector sum, not a tuple's
+    def __add__(self, other: Vector) -> Vector:  # a vector sum, not a tuple's
         return Vector(self.x + other.x, self.y + other.y, self.z + other.z)
 
     def __sub__(self, other: Vector) -> Vector:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ..scene import nodes
@@ -20,7 +18,7 @@ def indexed_face_set(node: nodes.IndexedFaceSet, where: str) -> Triangles:
     Raises:
         ValueError: an index, or a number of indices, that does not fit; says which field of which shape (`where`).
     """
-    points = _values(node.coord, "point", 3)
+    points = _points(node.coord)
     faces = Faces.read(node.coord_index)
     vertex = node.coord_index[faces.slot]
     _check(vertex, len(points), f"{where}.coord_index", "coord.point")
@@ -57,7 +55,7 @@ def triangle_set(node: nodes.IndexedTriangleSet | nodes.TriangleSet, where: str)
     Raises:
         ValueError: an index that does not fit, or too few colours, normals or texture coordinates.
     """
-    points = _values(node.coord, "point", 3)
+    points = _points(node.coord)
     if isinstance(node, nodes.IndexedTriangleSet):
         field = f"{where}.index"
         if np.any(node.index < 0):
@@ -102,8 +100,8 @@ def bounding_box_mapping(points: np.ndarray) -> np.ndarray:
     return (points[:, [s, t]] - low[[s, t]]) / (size[s] or 1.0)
 
 
-def _values(node: Any, field: str, columns: int) -> np.ndarray:
-    return np.zeros((0, columns)) if node is None else getattr(node, field)
+def _points(coord: nodes.Coordinate | None) -> np.ndarray:
+    return np.zeros((0, 3)) if coord is None else coord.point
 
 
 def _attribute_index(node: nodes.IndexedFaceSet, faces: Faces, field: str, per_vertex: bool, where: str) -> np.ndarray:

@@ -213,7 +213,7 @@ class SampleBuffer(eqx.Module):
             changed[f"{name}_planes"] = self._with_rows_in(planes, jnp.asarray(own, planes.dtype))
         if position is not None:
             tiles = (self.tile_surface.shape[0], self.tile)
-            places = lax.stop_gradient(jnp.moveaxis(changed["position_planes"], 1, 0)).reshape(-1, *tiles)
+            places = lax.stop_gradient(jnp.moveaxis(changed["position_planes"], 1, 0)).reshape(3, *tiles)
             changed |= {"tile_low": places.min(axis=2), "tile_high": places.max(axis=2)}
         return dataclasses.replace(self, **changed)
 

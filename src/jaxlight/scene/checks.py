@@ -11,6 +11,8 @@ from typing import Any, get_type_hints
 from weakref import WeakValueDictionary
 
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 
 from .paths import ATTRIBUTES
 from .scene import Scene
@@ -19,10 +21,14 @@ _ROWS = ("materials", "lights")
 """Dimensions that count nodes; other names stand for any size."""
 _checked: WeakValueDictionary[int, Scene] = WeakValueDictionary()
 """Scenes that are right, by identity: they never change, and are shaded again and again."""
+_right_frames: WeakValueDictionary[tuple[int, str], Any] = WeakValueDictionary()
+"""Matrices that are of the kind that `frame` states, by identity and kind: most scenes share them."""
+_UNEVEN = 0.02
+"""How far from even the scale of a "similarity" may be: its numbers may be rounded to 8 bits."""
 
 
 def check_scene(scene: Scene) -> None:
-    """Raise ValueError for what is no Scene, and for leaves that are not floating-point arrays of their shape."""
+    """Raise ValueError for what is no Scene, and for leaves that are not what its classes state."""
     if _checked.get(id(scene)) is scene:
         return
     if not isinstance(scene, Scene):
@@ -34,7 +40,31 @@ def check_scene(scene: Scene) -> None:
                 _check_leaves(f"{kind}[{row}]", one)
         elif owner is not None:
             _check_leaves(kind, owner)
+            _check_frame(kind, owner)
     _checked[id(scene)] = scene
+
+
+def _check_frame(name: str, owner: Any) -> None:
+    """A matrix that is changed alone would be read as what `frame` still states."""
+    frame = getattr(owner, "frame", "general")
+    field = "to_world" if hasattr(owner, "to_world") else "to_local"
+    matrices = getattr(owner, field, None)
+    if frame == "general" or isinstance(matrices, Tracer) or _right_frames.get((id(matrices), frame)) is matrices:
+        return
+    affine = np.asarray(matrices, dtype=np.float64)
+    if frame == "identity":
+        holds = np.array_equal(affine, np.broadcast_to(np.eye(*affine.shape[-2:]), affine.shape))
+    else:
+        gram = np.swapaxes(affine[..., :3], -1, -2) @ affine[..., :3]
+        size = np.trace(gram, axis1=-2, axis2=-1)[..., None, None] / 3
+        holds = bool(np.all(np.abs(gram - size * np.eye(3)) <= _UNEVEN * size))
+    if not holds:
+        raise ValueError(
+            f"{name}.{field}: `frame` states that it is of the kind {frame!r}, and it is not; "
+            f"give `frame='general'` with it (`dataclasses.replace`)"
+        )
+    if matrices is not None:
+        _right_frames[id(matrices), frame] = matrices
 
 
 def _check_leaves(name: str, owner: Any) -> None:

@@ -41,9 +41,9 @@ Vec3 = tuple[float, float, float]
 Vec4 = tuple[float, float, float, float]
 
 
-def _field(default: Any, check: Any, **metadata: Any) -> Any:
+def _field(default: Any, check: Any) -> Any:
     """A field with its default and the check (and canonical form) of its value."""
-    return dataclasses.field(default=default, metadata={"check": check, **metadata})
+    return dataclasses.field(default=default, metadata={"check": check})
 
 
 def _nodes() -> Any:
