@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fit_scenes import material, precision, sphere_picture, sphere_samples, sphere_scene
-from jaxlight import Free, View, fit, fitted_values, nodes
+from fit_scenes import key_light, material, precision, sphere_picture, sphere_points, sphere_samples, sphere_scene
+from jaxlight import Free, SampleBuffer, View, fit, fitted_values, nodes
 from jaxlight.fit.problem import Problem
 
 FREE = [Free("Material[body].diffuse_color.g", upper=0.3), "Material[body].diffuse_color.r", "Material[body].shininess"]
@@ -58,3 +58,46 @@ def test_forward_and_reverse_mode_are_the_differences_of_fits() -> None:
             np.testing.assert_allclose(forward[:, column], expected, rtol=1e-4, atol=1e-12)
         reverse, _ = jax.jit(jax.jacrev(answer, has_aux=True))(jnp.zeros(2))
         np.testing.assert_allclose(reverse, forward, rtol=1e-9, atol=1e-12)
+
+
+def test_derivatives_do_not_depend_on_the_unit_of_length() -> None:
+    """In single precision too: with the light's place in millimetres, columns of J are a thousandth."""
+    free = ["Material[body].shininess", "PointLight[key].location"]
+    picture, (points, pixel) = sphere_picture(16, noise=0.01, seed=5), sphere_points(16)
+    found = []
+    with precision("float32") as dtype:
+        for scale in (1.0, 1000.0):
+            samples = SampleBuffer.create(
+                scale * points, points, (0, 0, 4 * scale), pixel=pixel, width=16, height=16, dtype=dtype
+            )
+            light = key_light(location=tuple(scale * x for x in key_light().location), radius=1e9)
+            problem = fit(sphere_scene(light, dtype=dtype), View(samples, picture), free).problem
+
+            def answer(intensity: jax.Array, problem: Problem = problem) -> jax.Array:
+                return fitted_values(eqx.tree_at(lambda p: p.world.scene.point.intensity, problem, intensity))
+
+            slopes = jax.jacrev(answer)(problem.world.scene.point.intensity)[:, 0]
+            found.append(np.asarray(slopes) / [1, scale, scale, scale])
+    assert np.all(np.abs(found[0]) > 0.1)
+    np.testing.assert_allclose(found[1], found[0], rtol=0.02)
+
+
+def test_a_changed_number_compiles_nothing_anew() -> None:
+    counted: list[str] = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda name, *_, **__: counted.append(name) if "backend_compile" in name else None
+    )
+    with precision("float64") as dtype:
+        problem = fit(
+            sphere_scene(SUN, dtype=dtype), View(sphere_samples(12, dtype=dtype), sphere_picture(12, SUN)), FREE[1:]
+        ).problem
+
+        def answer(moves: jax.Array) -> jax.Array:
+            return fitted_values(moved(problem, moves))
+
+        compiled = []
+        for strength in (0.0, 0.01, 0.02):
+            before = len(counted)
+            jax.jacfwd(answer)(jnp.array([strength, 0.0]))
+            compiled.append(len(counted) - before)
+    assert compiled[0] > 0 and compiled[2] == 0

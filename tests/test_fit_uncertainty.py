@@ -20,7 +20,7 @@ from fit_scenes import (
     sphere_samples,
     sphere_scene,
 )
-from jaxlight import Free, View, fit, nodes
+from jaxlight import Free, SampleBuffer, Scene, View, fit, nodes, shade
 from jaxlight.fit.problem import make_problem
 from jaxlight.fit.run import make_solver, solve
 from jaxlight.fit.uncertainty import Uncertainty, uncertainty
@@ -51,7 +51,7 @@ PLANTED: dict[str, tuple[list[Any], dict[str, Any], list[str], list[str]]] = {
     ),
     "no highlight": (
         [key_light()], {"specular_color": (0, 0, 0)}, [DIFFUSE, "Material[body].shininess"],
-        ["Material[body].shininess is not seen: the pictures do not change with it"],
+        ["Material[body].shininess is not seen: the pictures do not change with it near its value"],
     ),
     "two lights in one place": (
         [key_light(), TWIN], {}, ["PointLight[*].intensity", "Material[body].shininess"],
@@ -59,7 +59,7 @@ PLANTED: dict[str, tuple[list[Any], dict[str, Any], list[str], list[str]]] = {
     ),
     "out of reach": (
         [key_light(), FAR], {}, [DIFFUSE, "PointLight[far].intensity"],
-        ["PointLight[far].intensity is not seen: the pictures do not change with it"],
+        ["PointLight[far].intensity is not seen: the pictures do not change with it near its value"],
     ),
     "strength against attenuation": (
         [key_light(attenuation=(1.0, 0.5, 0.2))], {}, ["PointLight[key].intensity", "PointLight[key].attenuation"],
@@ -76,7 +76,7 @@ PLANTED: dict[str, tuple[list[Any], dict[str, Any], list[str], list[str]]] = {
     ),
     "transparency without a background": (
         [key_light()], {}, ["Material[body].transparency", DIFFUSE],
-        ["Material[body].transparency is not seen: the pictures do not change with it"],
+        ["Material[body].transparency is not seen: the pictures do not change with it near its value"],
     ),
 }  # fmt: skip
 
@@ -214,3 +214,117 @@ def test_a_stated_noise_makes_errors_absolute() -> None:
             errors.append(uncertainty(problem, description, problem.parameters.start).standard_error)
     assert jax.config.jax_enable_x64 is False
     np.testing.assert_allclose(errors[1], 2 * errors[0], rtol=1e-9)
+
+
+def large(scale: float, dtype: Any, size: int = SIZE) -> Any:
+    """Samples of the sphere in smaller units, and a light that is the same then; scale 1000: metres in millimetres."""
+    points, pixel = sphere_points(size)
+    eye = scale * np.array((0.0, 0.0, 4.0))
+    samples = SampleBuffer.create(scale * points, points, eye, pixel=pixel, width=size, height=size, dtype=dtype)
+    place = tuple(scale * x for x in key_light().location)
+    return samples, key_light(location=place, attenuation=(1.0, 0.1 / scale, 0.05 / scale**2), radius=1e9)
+
+
+def test_errors_do_not_depend_on_the_unit_of_length() -> None:
+    free = ["PointLight[key].location", "PointLight[key].attenuation", "Material[body].shininess"]
+    picture = sphere_picture(SIZE, key_light(attenuation=(1.0, 0.1, 0.05)), noise=0.003)
+    with precision("float64") as dtype:
+        errors = []
+        for scale in (1.0, 1e6):
+            samples, light = large(scale, dtype)
+            view = View(samples, picture)
+            found = uncertainty(*parts_of(make_problem(sphere_scene(light, dtype=dtype), view, free)))
+            assert found.unseen == ()
+            errors.append(found.standard_error / [scale, scale, scale, 1, 1 / scale, scale**-2, 1])
+    np.testing.assert_allclose(errors[1], errors[0], rtol=1e-4)
+
+
+def parts_of(made: Any) -> tuple[Any, Any, Any]:
+    """What `uncertainty` is asked, at the start."""
+    problem, description = made
+    return problem, description, problem.parameters.start
+
+
+def test_a_prior_is_as_good_as_it_says_whether_noise_is_stated_or_not() -> None:
+    """Nothing in the picture tells strength from albedo: all that is known of it is the prior."""
+    free = [DIFFUSE, SPECULAR, Free("PointLight[key].intensity", mean=0.9, deviation=0.2)]
+    said = "priors are weighed as if the noise of a picture were 1: state the views' `noise`"
+    with precision("float64") as dtype:
+        for noise in (None, 0.02):
+            view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, noise=0.02), noise=noise)
+            found = fit(sphere_scene(dtype=dtype), view, free).uncertainty
+            assert found.standard_error[-1] == pytest.approx(0.2, rel=1e-3)
+            assert found.standard_error[0] == pytest.approx(0.2 * 0.6 / 0.9, rel=0.05)
+            assert (said in found.messages()) == (noise is None)
+            assert found.noise == pytest.approx(0.02 if noise is None else 1, rel=0.1)
+
+
+def test_as_many_numbers_as_residuals_leave_no_error_to_be_stated() -> None:
+    with precision("float64") as dtype:
+        one = SampleBuffer.create([[0, 0, 1]], [[0, 0, 1]], (0, 0, 4), dtype=dtype)
+        found = fit(sphere_scene(dtype=dtype), View(one, np.array([[0.5, 0.4, 0.3]])), [DIFFUSE]).uncertainty
+    assert np.all(np.isinf(found.standard_error)) and np.all(np.isnan(found.covariance))
+    assert "the errors are not known: 3 residuals leave nothing" in str(found)
+
+
+def test_limits_of_the_sensor_that_are_kept_tell_nothing_of_the_noise() -> None:
+    with precision("float64") as dtype:
+        picture = sphere_picture(SIZE, noise=0.02)
+        view = View(sphere_samples(SIZE, dtype=dtype), np.minimum(picture, 0.15), saturated=0.15)
+        found = fit(sphere_scene(dtype=dtype), view, [DIFFUSE, "Material[body].shininess"]).uncertainty
+    assert found.noise == pytest.approx(0.02, rel=0.1)
+
+
+@pytest.mark.parametrize("texels", [24, 64])
+def test_texels_that_nothing_shows_take_no_part(texels: int) -> None:
+    """A quad of which samples show a quarter, each the nearest texel; then one whose texels hold each other."""
+    across = (np.arange(32) + 0.5) / 32
+    x, y = (w.ravel() for w in np.meshgrid(across, across))
+    column, row = (np.floor(w / 2 * texels).astype(int) for w in (x, y))
+    index = np.repeat((row * texels + column)[:, None], 4, axis=1)
+    position = np.stack([x, y, np.zeros_like(x)], axis=1)
+    image = np.random.default_rng(1).uniform(0.3, 0.6, (texels, texels, 3))
+    texture = nodes.PixelTexture(image=image, name="skin")
+    shape = nodes.Shape(appearance=nodes.Appearance(material=material(specular_color=(0, 0, 0)), texture=texture))
+    noise = 0.01 * np.random.default_rng(2).normal(size=(1024, 3))
+    with precision("float64") as dtype:
+        scene = Scene.from_nodes([shape, key_light(location=(0.5, 0.5, 2.0), color=(1, 1, 1))], dtype=dtype)
+        samples = SampleBuffer.create(
+            position, np.tile([0.0, 0, 1], (1024, 1)), (0.5, 0.5, 3), dtype=dtype,
+            texel_index=index, texel_weight=np.tile([1.0, 0, 0, 0], (1024, 1)),
+        )  # fmt: skip
+        view = View(samples, np.asarray(shade(scene, samples))[:, :3] + noise)
+        found = fit(scene, view, ["Texture[skin].image"]).uncertainty
+        assert texels == 64 or found.noise == pytest.approx(0.01, rel=0.1)
+        held = fit(scene, view, [Free("Texture[skin].image", mean=image, deviation=1e-3)]).uncertainty
+        assert held.noise == pytest.approx(0.01, rel=0.1)
+
+
+@pytest.mark.parametrize(("loss", "outliers"), [("huber", 0.0), ("cauchy", 0.0), ("huber", 0.1)])
+def test_errors_of_robust_losses_are_those_that_are_made(loss: Any, outliers: float) -> None:
+    free, fits, noise, size = [DIFFUSE, "Material[body].shininess"], 400, 0.02, 16
+    random = np.random.default_rng(5)
+    with precision("float64") as dtype:
+        view = View(sphere_samples(size, dtype=dtype), sphere_picture(size))
+        problem, description = make_problem(sphere_scene(dtype=dtype), view, free, loss=loss, loss_scale=noise)
+        (stack,) = problem.views
+        clean = np.asarray(stack.target)[0]
+        errors = noise * random.normal(size=(fits, *clean.shape))
+        errors += np.where(random.uniform(size=errors.shape) < outliers, random.choice([-0.5, 0.5], errors.shape), 0)
+        solver = make_solver(problem)
+
+        @eqx.filter_jit
+        def fit_all(targets: Any) -> Any:
+            def one(target: Any) -> Any:
+                noisy = eqx.tree_at(lambda p: p.views[0].target, problem, target[None])
+                return solve(noisy, solver, noisy.parameters.start).value
+
+            return jax.vmap(one)(targets)
+
+        targets = jnp.asarray(clean + errors)
+        values = np.asarray(fit_all(targets))
+        stated = []
+        for target, found in zip(targets[:10], values, strict=False):
+            noisy = eqx.tree_at(lambda p: p.views[0].target, problem, target[None])
+            stated.append(uncertainty(noisy, description, found).standard_error)
+    np.testing.assert_allclose(np.mean(stated, axis=0) / np.std(values, axis=0), 1, atol=0.12)

@@ -297,7 +297,7 @@ def make_fit(
         loss=value,
         rms=rms,
         outcome=outcome,
-        message=message_of(outcome, state, history, rms),
+        message=message_of(outcome, state, history, rms, problem.loss_kind),
         history=tuple(history),
         problem=problem,
         description=description,

@@ -19,6 +19,8 @@ Kept = Literal["product", "ratio", "sum", "difference", "direction", "combinatio
 
 _NULL = 1e-10
 """Eigenvalue of the scaled matrix, computed in float64, below which a direction counts as not seen."""
+_UNSEEN = 1e-14
+"""Change of all pictures with a number, of its size and relative to the greatest such, that is rounding."""
 _ZERO = 1e-4
 """Share of the largest component below which a component of a direction counts as 0."""
 _MAX_SUBSETS = 20_000
@@ -58,15 +60,17 @@ class Partner(NamedTuple):
     texels: np.ndarray
 
 
-def analyse(curvature: np.ndarray, held: np.ndarray, scale: np.ndarray) -> Seen:
+def analyse(curvature: np.ndarray, held: np.ndarray, scale: np.ndarray, size: np.ndarray) -> Seen:
     """Sort the numbers by what a Gauss-Newton matrix says of them.
 
     Args:
         curvature: J^T J in float64, priors included, texels eliminated.
         held: True for numbers that press against a bound: they are taken as known.
         scale: length of each column of the Jacobian, before texels were eliminated.
+        size: of each number, in its own unit: what a change of it is to be measured by.
     """
-    unseen = ~(scale > 1e-12 * np.max(scale, initial=0)) & ~held
+    change = scale * size
+    unseen = ~(change > _UNSEEN * np.max(change, initial=0)) & ~held
     use = np.flatnonzero(~unseen & ~held)
     scaled = curvature[np.ix_(use, use)] / (scale[use][:, None] * scale[use][None, :])
     eigenvalues, vectors = np.linalg.eigh(scaled) if len(use) else (np.zeros(0), np.zeros((0, 0)))

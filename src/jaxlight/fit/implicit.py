@@ -8,7 +8,9 @@ tell stays where it is. Nothing is left out of the equation: what makes no diffe
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -42,6 +44,11 @@ def fitted_values(
         raise ValueError(f"problem: expected the problem of a fit (`Fit.problem`), got {type(problem).__name__}")
     if problem.parameters.blocks:
         raise ValueError("fitted_values: derivatives of fits of whole textures are not supported")
+    return _fitted_values(problem, solver, max_steps)
+
+
+@eqx.filter_jit
+def _fitted_values(problem: Problem, solver: BoundedLevenbergMarquardt | None, max_steps: int) -> Array:
     problem = _with_every_term(problem)
     solver = make_solver(problem) if solver is None else solver
     parameters = problem.parameters
@@ -54,7 +61,12 @@ def fitted_values(
         slope = jax.grad(lambda v: normal.loss(problem, v))(values)
         return scale * (values - jnp.clip(values - slope / scale**2, parameters.lower, parameters.upper))
 
-    return jax.lax.custom_root(conditions, parameters.start, lambda _, start: found.value, _solve_linear)
+    def solved(function: Callable[[Array], Array], right: Array) -> Array:
+        """The shortest solution of function(x) = right, in these units, for a linear function of few numbers."""
+        matrix = jax.vmap(function, out_axes=1)(jnp.diag(1 / scale))
+        return jnp.linalg.pinv(matrix, rtol=1e3 * float(jnp.finfo(right.dtype).eps)) @ right / scale
+
+    return jax.lax.custom_root(conditions, parameters.start, lambda _, start: found.value, solved)
 
 
 def _with_every_term(problem: Problem) -> Problem:
@@ -64,9 +76,3 @@ def _with_every_term(problem: Problem) -> Problem:
         return dataclasses.replace(stack, plan=make_plan(scene, options=stack.plan.options, free=True))
 
     return dataclasses.replace(problem, views=tuple(planned(stack) for stack in problem.views))
-
-
-def _solve_linear(function: object, right: Array) -> Array:
-    """The shortest solution of function(x) = right, for a linear function of few numbers."""
-    matrix = jax.vmap(function, out_axes=1)(jnp.eye(right.shape[0], dtype=right.dtype))  # type: ignore[arg-type]
-    return jnp.linalg.pinv(matrix, rtol=1e3 * float(jnp.finfo(right.dtype).eps)) @ right

@@ -6,8 +6,10 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
+import numpy as np
 import optimistix as optx
 
+from .residuals import LossKind
 from .run import FitState
 from .steps import Step
 
@@ -25,8 +27,9 @@ def outcome_of(state: FitState, interrupted: bool) -> Outcome:
     return "interrupted" if interrupted else "max_steps"
 
 
-def message_of(outcome: Outcome, state: FitState, history: Sequence[Step], rms: float) -> str:
+def message_of(outcome: Outcome, state: FitState, history: Sequence[Step], rms: float, loss: LossKind) -> str:
     """The same in a sentence, after these steps."""
+    left = f"residual RMS {rms:.3g}" + ("" if loss == "squares" else f", as the {loss} loss counts it")
     trials = f"{state.accepted} steps ({state.tried} tried)"
     coarse = sum(step.part < 1 for step in history)
     if coarse > 1:
@@ -36,14 +39,15 @@ def message_of(outcome: Outcome, state: FitState, history: Sequence[Step], rms: 
     if outcome == "converged" and bool(state.solver.at_kink):
         return (
             f"Converged in {trials} to a kink of the equation (samples where a light sets), within a tenth of a "
-            f"standard error of the optimum; residual RMS {rms:.3g}."
+            f"standard error of the optimum; {left}."
         )
+    if outcome == "converged" and state.accepted == 0 and not np.any(state.solver.curvature.diagonal()):
+        return f"Converged in {trials}: near the start no picture changes with any free number; {left}."
     return {
-        "converged": f"Converged in {trials}; residual RMS {rms:.3g}.",
-        "max_steps": f"Not converged: stopped after {trials}, the most that were allowed; residual RMS {rms:.3g}.",
+        "converged": f"Converged in {trials}; {left}.",
+        "max_steps": f"Not converged: stopped after {trials}, the most that were allowed; {left}.",
         "stalled": f"Not converged: after {trials} no step lowers the residual any more, although its slope says one "
-        f"should; residual RMS {rms:.3g}. The start may lie at a jump of the equation (a light's radius or cone).",
+        f"should; {left}. The start may lie at a jump of the equation (a light's radius or cone).",
         "nonfinite": "Failed: the loss or its derivative is not finite at the start values.",
-        "interrupted": f"Interrupted after {trials}, not converged; the best values so far are kept; "
-        f"residual RMS {rms:.3g}.",
+        "interrupted": f"Interrupted after {trials}, not converged; the best values so far are kept; {left}.",
     }[outcome]

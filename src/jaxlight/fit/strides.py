@@ -53,6 +53,10 @@ class Strides(eqx.Module):
 
     def limits(self, values: Float[Array, " parameters"]) -> tuple[Array, Array]:
         """(lower, upper) ends of the next step, relative to the present values."""
-        squares = jax.ops.segment_sum((values - self.origin) ** 2, self.group, num_segments=values.shape[0])
-        size = jnp.maximum(jnp.sqrt(squares)[self.group], self.floor)
+        size = jnp.maximum(self.sizes(values), self.floor)
         return -self.down * size, self.up * size
+
+    def sizes(self, values: Float[Array, " parameters"]) -> Float[Array, " parameters"]:
+        """The size of each parameter, of vectors the length of what is free."""
+        squares = jax.ops.segment_sum((values - self.origin) ** 2, self.group, num_segments=values.shape[0])
+        return jnp.sqrt(squares)[self.group]

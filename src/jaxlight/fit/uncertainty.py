@@ -1,7 +1,8 @@
 """How well a fit knows what it found: standard errors, correlations, bounds, and what no picture tells.
 
-With the residuals' variance s^2 (stated, or estimated from what is left), the covariance of the free numbers is
-s^2 (J^T J)^-1, over the numbers that no bound holds and the directions that the pictures see.
+With the residuals' variance s^2 (stated, or estimated from what is left) and the precision P of priors, the covariance
+of the free numbers is H^-1 (s^2 J^T J + P) H^-1 with H = J^T J + P, over the numbers that no bound holds and the
+directions that the pictures see: s^2 (J^T J)^-1 without priors.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from . import normal
 from .curvature import ArrowCurvature, as_curvature
 from .identify import Ambiguity, Partner, ambiguities, analyse
+from .leftover import Leftover, leftover
 from .problem import Description, Problem
 from .widened import widened
 
@@ -37,9 +39,10 @@ class Uncertainty:
     standard_error: np.ndarray
     """Infinite where the pictures do not determine the number; 0 where a bound holds it."""
     covariance: np.ndarray
-    """[numbers, numbers] over the directions that are seen; 0 for held and unseen numbers."""
+    """[numbers, numbers] over the directions that are seen; 0 for held and unseen numbers, NaN where noise is unknown."""
     noise: float
-    """Standard deviation of a residual of weight 1: stated, or estimated from what the fit left."""
+    """Standard deviation of a residual of weight 1: stated, or estimated from what the fit left (of robust losses what
+    least squares would need for the same errors); infinite, and unknown, where nothing is left to tell it."""
     rank: int
     """Number of directions that the pictures determine."""
     at_bound: tuple[tuple[str, str], ...]
@@ -51,6 +54,8 @@ class Uncertainty:
     """(label, standard error) of the numbers whose error is half of their value or of their range, or more."""
     correlations: tuple[Correlation, ...]
     """Pairs above 0.99 in absolute value, the strongest first."""
+    remarks: tuple[str, ...] = ()
+    """What the errors rest on, where it may not be what was meant."""
 
     @property
     def well_posed(self) -> bool:
@@ -59,7 +64,8 @@ class Uncertainty:
 
     def messages(self) -> list[str]:
         """What a person should know before believing the numbers, a sentence each; none if all is well."""
-        lines = [f"{label} is not seen: the pictures do not change with it" for label in self.unseen]
+        lines = [f"{label} is not seen: the pictures do not change with it near its value" for label in self.unseen]
+        lines += self.remarks
         lines += [ambiguity.text for ambiguity in self.ambiguities]
         lines += [f"{label} lies on its {side} bound" for label, side in self.at_bound]
         lines += [f"{label} is hardly seen: its standard error is {error:.2g}" for label, error in self.hardly_seen]
@@ -90,32 +96,38 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
     with jax.enable_x64(True):
         wide = widened(problem)
         at = jnp.asarray(np.asarray(values), jnp.float64)
-        loss, gradient, curvature, answers, size = (np.asarray(a, np.float64) for a in _reduced(wide, at))
+        reduced = jax.tree.map(lambda a: np.asarray(a, np.float64), _reduced(wide, at))
     found = np.asarray(values, np.float64)
     lower, upper = (np.asarray(a, np.float64)[:count] for a in (problem.parameters.lower, problem.parameters.upper))
     texels, found = found[count:], found[:count]
     labels = description.labels
     on_lower, on_upper = found <= lower, found >= upper
     # A bound holds a number back only if the slope presses against it by more than rounding.
-    pressing = np.abs(gradient) > 1e-6 * size * np.sqrt(2 * float(loss))
+    gradient, curvature, lengths = reduced.gradient, reduced.curvature, reduced.lengths
+    pressing = np.abs(gradient) > 1e-6 * lengths * np.sqrt(2 * float(reduced.loss))
     held = pressing & ((on_lower & (gradient > 0)) | (on_upper & (gradient < 0)))
-    seen = analyse(curvature, held, size)
+    seen = analyse(curvature, held, lengths, np.where(reduced.sizes > 0, reduced.sizes, 1))
     rank = int(np.count_nonzero(~held & ~seen.unseen)) - len(seen.null)
-    freedom = max(description.residuals - rank - len(texels), 1)
-    noise = 1.0 if description.noise_known else float(np.sqrt(2 * float(loss) / freedom))
-    covariance = noise**2 * _pseudo_inverse(curvature, seen.scale, ~held & ~seen.unseen, len(seen.null))
+    inverse = _pseudo_inverse(curvature, seen.scale, ~held & ~seen.unseen, len(seen.null))
+    fitted = rank - float(np.diagonal(inverse) @ reduced.precision) + float(reduced.texels)
+    noise, variance = (1.0, 1.0) if description.noise_known else _noise(reduced.left, fitted)
+    is_known = np.isfinite(noise)
+    covariance = inverse
+    if is_known:
+        covariance = inverse + (variance - 1) * (inverse - (inverse * reduced.precision) @ inverse)
     traded = np.max(np.abs(seen.null), axis=0, initial=0) > 1e-4
     error = np.where(seen.unseen | traded, np.inf, np.sqrt(np.maximum(np.diagonal(covariance), 0)))
+    error = np.where(held, 0, error if is_known else np.inf)
     span = np.where(np.isfinite(upper - lower), upper - lower, np.abs(found))
     hardly = np.isfinite(error) & (error > 0) & (error >= span / 2)
     partners = [
-        Partner(block.path, answers[start : start + block.size], texels[start : start + block.size])
+        Partner(block.path, reduced.answers[start : start + block.size], texels[start : start + block.size])
         for block, start in zip(problem.parameters.blocks, _offsets(problem), strict=True)
     ]
     return Uncertainty(
         labels=tuple(labels),
         standard_error=error,
-        covariance=covariance,
+        covariance=covariance if is_known else np.full_like(inverse, np.nan),
         noise=noise,
         rank=rank,
         at_bound=tuple(
@@ -125,23 +137,82 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
         ambiguities=tuple(ambiguities(seen, found, labels, description.fields, partners)),
         hardly_seen=tuple((labels[i], float(error[i])) for i in np.flatnonzero(hardly).tolist()),
         correlations=tuple(_correlations(covariance, labels, traded)),
+        remarks=tuple(_remarks(problem, description, float(reduced.left.count), fitted)),
     )
 
 
+class _Reduced(NamedTuple):
+    """What the pictures say of the labelled numbers, texels eliminated."""
+
+    loss: Any
+    gradient: Any
+    curvature: Any
+    answers: Any
+    """[texels, numbers]: how the texels answer."""
+    lengths: Any
+    """Of the Jacobian's columns, before texels were eliminated."""
+    precision: Any
+    """Of the priors of the labelled numbers."""
+    sizes: Any
+    """See `Strides.sizes`."""
+    texels: Any
+    """How many texels the pictures determine: of one that a prior holds as well, the pictures' share of it."""
+    left: Leftover
+
+
+def _noise(left: Leftover, fitted: float) -> tuple[float, float]:
+    """The standard deviation of a residual, and the factor of the inverse curvature that it means (see `Leftover`).
+
+    Of a robust loss that is the M-estimator's sum(psi^2) / sum(dpsi/dr)^2, times the weights that are in the curvature.
+    """
+    freedom = float(left.count) - fitted
+    if freedom < 0.5 or float(left.slopes) <= 0:
+        return np.inf, np.inf
+    slope, heard = float(left.slopes) / float(left.count), float(left.heard) / float(left.count)
+    noise = float(np.sqrt(float(left.squares) / freedom)) / slope
+    return noise, noise**2 * heard
+
+
+def _remarks(problem: Problem, description: Description, residuals: float, fitted: float) -> list[str]:
+    if description.noise_known:
+        return []
+    said = []
+    if residuals - fitted < 0.5:
+        said.append(
+            f"the errors are not known: {residuals:.0f} residuals leave nothing to estimate their noise from; "
+            f"state the views' `noise`"
+        )
+    blocks = problem.parameters.blocks
+    smooth = any(float(block.smoothness) > 0 or float(block.total_variation) > 0 for block in blocks)
+    if smooth or np.any(np.asarray(problem.parameters.prior_precision) > 0):
+        said.append("priors are weighed as if the noise of a picture were 1: state the views' `noise`")
+    return said
+
+
 @eqx.filter_jit
-def _reduced(problem: Problem, values: Any) -> tuple[Any, ...]:
-    """(loss, gradient, curvature, answers of the texels, column lengths) of the labelled numbers, texels eliminated."""
+def _reduced(problem: Problem, values: Any) -> _Reduced:
+    parameters, left = problem.parameters, leftover(problem, values)
     loss, gradient, matrix = normal.normal_equations(problem, values)
-    curvature = as_curvature(matrix)
-    count = problem.parameters.few
-    lengths = jnp.sqrt(jnp.maximum(curvature.diagonal()[:count], 0))
+    curvature, count = as_curvature(matrix), parameters.few
+    diagonal = curvature.diagonal()
+    lengths = jnp.sqrt(jnp.maximum(diagonal[:count], 0))
+    precision, sizes = parameters.prior_precision, problem.strides.sizes(values)[:count]
     if not isinstance(curvature, ArrowCurvature):
-        return loss, gradient, matrix, jnp.zeros((0, count)), lengths
-    parameters = problem.parameters
+        texels = jnp.zeros(())
+        return _Reduced(loss, gradient, matrix, jnp.zeros((0, count)), lengths, precision, sizes, texels, left)
     on_lower, on_upper = values <= parameters.lower, values >= parameters.upper
     held = (on_lower & (gradient > 0)) | (on_upper & (gradient < 0))
     reduced, answers = curvature.eliminated(problem.sampling, ~held[count:])
-    return loss, gradient[:count], reduced, answers, lengths
+    smooth = [
+        jnp.zeros(block.size) if neighbours is None else neighbours.degree().reshape(-1)
+        for block, neighbours in zip(parameters.blocks, curvature.neighbours, strict=True)
+    ]
+    degree = jnp.concatenate(smooth)
+    pictures = diagonal[count:] - precision[count:] - 2 * degree  # rounded, if priors are all there is
+    said = (pictures > 1e-9 * diagonal[count:]) & ~held[count:]
+    share = pictures / jnp.where(said, pictures + precision[count:] + degree, 1)
+    texels = jnp.sum(jnp.where(said, share, 0))
+    return _Reduced(loss, gradient[:count], reduced, answers, lengths, precision[:count], sizes, texels, left)
 
 
 def _offsets(problem: Problem) -> list[int]:

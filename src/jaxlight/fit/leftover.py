@@ -1,0 +1,56 @@
+"""What a fit leaves: sums over its residuals that tell how noisy they are."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .normal import view_residual
+from .problem import Problem
+from .residuals import LossKind, reweight
+from .views import ViewData
+
+
+class Leftover(NamedTuple):
+    """Sums over the residuals r that say something: those with a weight, but for limits of the sensor that are kept.
+
+    With a loss rho, psi = rho'(r^2) r is what is heard of a residual; of squares that is r.
+    """
+
+    count: Float[Array, ""]
+    squares: Float[Array, ""]
+    """Of psi^2."""
+    heard: Float[Array, ""]
+    """Of psi / r."""
+    slopes: Float[Array, ""]
+    """Of dpsi / dr."""
+
+
+def leftover(problem: Problem, values: Float[Array, " parameters"]) -> Leftover:
+    """The sums at these values, over all views."""
+    world = problem.at(values)
+
+    def of_view(view: ViewData) -> Leftover:
+        residual = view_residual(problem, world, view)
+        beyond = (view.target >= view.saturated) | (view.target <= view.dark)
+        said = (view.root_weight > 0) & ~(beyond & (residual == 0))
+        weight = reweight(*problem.rho, residual)
+        heard = jnp.ones_like(residual) if weight is None else weight
+        each = (jnp.ones_like(residual), (heard * residual) ** 2, heard, _slopes(*problem.rho, residual))
+        return Leftover(*(jnp.sum(jnp.where(said, numbers, 0)) for numbers in each))
+
+    stacks = [jax.tree.map(jnp.sum, jax.lax.map(of_view, stack)) for stack in problem.views]
+    return jax.tree.map(lambda *sums: sum(sums[1:], sums[0]), *stacks)
+
+
+def _slopes(kind: LossKind, scale: Array, residual: Array) -> Array:
+    """dpsi / dr at each residual."""
+    size = jnp.abs(residual) / scale
+    if kind == "huber":
+        return jnp.where(size <= 1, 1.0, 0.0)
+    if kind == "cauchy":
+        return (1 - size * size) / (1 + size * size) ** 2
+    return jnp.ones_like(residual)
