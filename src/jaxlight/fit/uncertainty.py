@@ -39,7 +39,7 @@ class Uncertainty:
     standard_error: np.ndarray
     """Infinite where the pictures do not determine the number; 0 where a bound holds it."""
     covariance: np.ndarray
-    """[numbers, numbers] over the directions that are seen; 0 for held and unseen numbers, NaN where noise is unknown."""
+    """[numbers, numbers] over the directions that are seen; 0 for held and unseen numbers, NaN if noise is unknown."""
     noise: float
     """Standard deviation of a residual of weight 1: stated, or estimated from what the fit left (of robust losses what
     least squares would need for the same errors); infinite, and unknown, where nothing is left to tell it."""
