@@ -12,6 +12,7 @@ import pytest
 from jaxlight import (
     Camera,
     Fit,
+    Free,
     Orthographic,
     Scene,
     View,
@@ -53,6 +54,8 @@ FREE: list[tuple[Any, str]] = [
     (lambda s: s.materials.diffuse_color.at[0], "fails on this scene: .* no attribute 'at'"),
     ("Material[\u00b2].diffuse_color", "the scene has no field"),
     ("View[\u00b2].exposure", "there is no field"),
+    ([], "free: no field is free"),
+    (Free([]), "free: expected a path or several"),
     (3, "free: expected a field path, a function of the scene or a Free, got 3"),
 ]
 

@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -394,6 +394,42 @@ def test_fit_never_writes_over_its_inputs(run, target: Path) -> None:
 
 
 # --- gradcheck --------------------------------------------------------------------------------------------------------
+
+
+def test_textures_of_the_scene_are_never_outputs(run, target: Path) -> None:
+    picture = np.random.default_rng(1).integers(0, 255, (4, 4, 3), dtype=np.uint8)
+    text = Path("scene.x3d").read_text()
+    for name, words in (
+        ("wood.png", ["render", "wood.x3d", "--output", "wood.png"]),
+        ("view_0.png", ["fit", "wood.x3d", target, *FREE, *START, "--output", "."]),
+    ):
+        Image.fromarray(picture).save(name)
+        Path("wood.x3d").write_text(text.replace("</Appearance>", f"<ImageTexture url='\"{name}\"'/></Appearance>", 1))
+        result = run(*words)
+        assert result.status == 2 and f"{name}: is an input of this command" in result.err
+        assert np.array_equal(np.asarray(Image.open(name)), picture)
+
+
+def test_an_interrupt_before_the_first_step_leaves_results_alone(run, target: Path, monkeypatch: Any) -> None:
+    words = ["fit", "scene.x3d", target, *FREE, *START, "--output", "done"]
+    assert run(*words).status == 0
+    results = [path for path in Path("done").iterdir() if path.name not in ("log.jsonl",)]
+    before = {path: path.read_bytes() for path in results}
+
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys.modules["jaxlight.fit.fitting"], "advance", interrupted)
+    result = run(*words)
+    assert result.status == 130 and "Interrupted before the start values were evaluated" in result.err
+    assert {path: path.read_bytes() for path in results} == before
+
+
+def test_names_that_are_no_text_are_written_about_all_the_same(run, target: Path) -> None:
+    name = os.fsdecode(b"s\xff.x3d")
+    Path(name).write_bytes(Path("scene.x3d").read_bytes())
+    assert run("fit", name, target, *FREE, *START, "--output", "out").status == 0
+    assert Path("out/scene.x3d").exists() and "s?.x3d fitted to" in Path("out/report.html").read_text()
 
 
 def test_gradcheck_prints_a_row_a_field(run) -> None:

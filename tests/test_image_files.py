@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 
 from jaxlight import SceneFileError, read_image, write_image
+from jaxlight.formats.images import decode_image
 from jaxlight.formats.quantize import quantize
 
 
@@ -64,6 +65,42 @@ def test_exr_holds_any_number(tmp_path: Path) -> None:
     image = np.array([[[1e-5, 2, -3], [1000, 0, 0.1]]], dtype=np.float32)
     write_image(tmp_path / "a.exr", image)
     assert np.array_equal(read_image(tmp_path / "a.exr"), image)
+
+
+@pytest.mark.parametrize("suffix", ["exr", "png"])
+def test_the_content_is_read_and_not_a_file_of_that_name(tmp_path: Path, suffix: str) -> None:
+    """What a `data:` address holds has no file."""
+    pytest.importorskip("OpenImageIO")
+    image = np.random.default_rng(0).integers(0, 2**16, (3, 2, 3)) / 65535
+    write_image(tmp_path / f"a.{suffix}", image, bits=8 if suffix == "exr" else 16)
+    decoded = decode_image((tmp_path / f"a.{suffix}").read_bytes(), tmp_path / "nowhere")
+    np.testing.assert_allclose(decoded, image, atol=1e-7)
+
+
+def test_an_exr_is_read_in_its_whole_window(tmp_path: Path) -> None:
+    library = pytest.importorskip("OpenImageIO")
+    for left, top, shown in ((5, 3, slice(None)), (-1, -2, slice(2, None))):
+        spec = library.ImageSpec(4, 6, 3, "float")
+        spec.x, spec.y, spec.full_width, spec.full_height = left, top, 12, 10
+        held = np.random.default_rng(0).uniform(size=(6, 4, 3)).astype(np.float32)
+        file = library.ImageOutput.create(str(tmp_path / "a.exr"))
+        assert file.open(str(tmp_path / "a.exr"), spec) and file.write_image(held)
+        file.close()
+        image = read_image(tmp_path / "a.exr")
+        assert image.shape == (10, 12, 3)
+        place = np.zeros((10, 12, 3))
+        place[max(top, 0) : top + 6, max(left, 0) : left + 4] = held[shown, 1 if left < 0 else 0 :]
+        np.testing.assert_array_equal(image, place)
+
+
+def test_an_exr_of_many_channels_is_read_in_those_of_its_picture(tmp_path: Path) -> None:
+    library = pytest.importorskip("OpenImageIO")
+    spec = library.ImageSpec(2, 2, 40, "half")
+    spec.channelnames = tuple(["R", "G", "B"] + [f"x{i}" for i in range(37)])
+    file = library.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert file.open(str(tmp_path / "a.exr"), spec) and file.write_image(np.full((2, 2, 40), 0.5, np.float32))
+    file.close()
+    np.testing.assert_array_equal(read_image(tmp_path / "a.exr"), np.full((2, 2, 3), 0.5))
 
 
 def test_jpeg_is_close_and_has_no_alpha(tmp_path: Path) -> None:

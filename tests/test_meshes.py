@@ -322,7 +322,8 @@ def test_an_unlit_material_gives_way_to_the_colours_of_its_own_mesh_only(
     ("change", "message"),
     [
         (lambda h: h.update(extensionsRequired=["KHR_draco_mesh_compression"]), "needs the glTF extension KHR_draco"),
-        (lambda h: h["accessors"][0].update(count=10**12), "announces more than"),
+        (lambda h: h["accessors"][0].update(count=10**12), "announces 1.*, far more than its"),
+        (lambda h: h["accessors"].append({"count": 10**6, "type": "VEC3", "componentType": 5126}), "announces 1"),
         (lambda h: h["accessors"][0].update(count=float("inf")), "malformed glTF header: OverflowError"),
         (
             lambda h: [a.update(count=s * 10**12) for a, s in zip(h["accessors"], (1, -1), strict=False)],
@@ -340,6 +341,23 @@ def test_damaged_gltf_headers_are_errors(tmp_path: Path, glb: bytes, change: obj
         load(tmp_path / "a.glb")
 
 
+PLY = b"""ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 2
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+3 0 1 2
+3 %s 1 2
+"""
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -349,6 +367,9 @@ def test_damaged_gltf_headers_are_errors(tmp_path: Path, glb: bytes, change: obj
         ("a.glb", b"glTF\x02\x00\x00\x00", "truncated"),
         ("a.ply", b"v 0 0 0", "the content is not .ply"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "an index is out of range: index 8 is out of bounds"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 0/1 2/1 3/1\n", "a.obj:5: a face has the index 0"),
+        ("a.ply", PLY % b"-1", "a face has the index -1"),
+        ("a.stl", bytes(80) + b"\x02\0\0\0" + bytes(60), "neither text nor complete|not a stl file"),
         ("a.obj", b"v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", r"Coordinate.point: .* got \[ ?1.  0. nan\] in row 1"),
     ],
 )

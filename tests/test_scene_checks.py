@@ -128,10 +128,13 @@ def test_arguments_of_another_type_are_refused(seen: tuple[Scene, SampleBuffer])
     scene, samples = seen
     wrong: Any = samples
     other: Any = scene
+    nothing: Any = None
     options: Any = "modulate"
     for function in (shade, render, check_gradients):
         with pytest.raises(ValueError, match="scene: expected a Scene, got SampleBuffer"):
             function(wrong, other)
+        with pytest.raises(ValueError, match="scene: expected a Scene, got NoneType"):
+            function(nothing, samples)
         with pytest.raises(ValueError, match="samples: expected a SampleBuffer, got Scene"):
             function(scene, other)
         with pytest.raises(ValueError, match="options: expected LightingOptions, got str"):

@@ -48,6 +48,7 @@ ERRORS = [
         "</IndexedTriangleSet></Shape>",
         "index 2, but color has 2 entries",
     ),
+    ("<Shape><IndexedFaceSet coordIndex='0 1 2 -1'/></Shape>", "index 2, but coord has 0 entries"),
     ("<Shape><Appearance><PixelTexture image='1 1 3'/></Appearance></Shape>", "1 x 1 pixels announced, 0 given"),
     ("<Group visible='maybe'/>", "Group.visible: expected true or false"),
 ]
@@ -76,6 +77,48 @@ def test_transforms_that_overflow_together_are_an_error(tmp_path: Path) -> None:
     inner = "<Transform DEF='b' scale='1e99 1e99 1e99'><Shape/></Transform>"
     path.write_text(x3d("<Transform scale='1e99 1e99 1e99'>" * 3 + inner + "</Transform>" * 3))
     with pytest.raises(SceneFileError, match=r"Transform\[b\]: with the transforms above it"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<PointLight DEF='a' intensity='1e39'/>", r"PointLight\[a\].intensity: 1e\+39 is larger than 3.4e\+38"),
+        ("<PointLight/><SpotLight DEF='b' location='0 -1e39 0'/>", r"SpotLight\[b\].location: -1e\+39 is larger"),
+        ("<Transform translation='1e39 0 0'><PointLight DEF='c'/></Transform>", r"PointLight\[c\]: its frame: 1e\+39"),
+    ],
+)
+def test_numbers_that_are_too_large_for_the_type_are_errors(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(x3d(text))
+    with pytest.raises(SceneFileError, match=message):
+        load(path)
+
+
+def test_more_scopes_than_are_kept_are_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(x3d("<Group><PointLight global='false'/><Shape><Sphere/></Shape></Group>" * 3))
+    monkeypatch.setattr("jaxlight.scene.flatten.MAX_SCOPED", 9)
+    assert load(path).point is not None
+    monkeypatch.setattr("jaxlight.scene.flatten.MAX_SCOPED", 8)
+    with pytest.raises(SceneFileError, match="3 lights over 3 surfaces; their product may be at most 8"):
+        load(path)
+
+
+def test_attributes_of_other_namespaces_are_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    own = "<Material DEF='m' f:diffuseColor='hello' diffuseColor='0 1 0' f:shininess='1' xmlns:f='urn:f'/>"
+    path.write_text(x3d(f"<Shape><Appearance>{own}</Appearance><Sphere/></Shape>"))
+    scene = load(path)
+    assert scene.materials is not None
+    assert scene.materials.diffuse_color.tolist() == [[0, 1, 0]] and scene.materials.shininess[0] < 0.5
+
+
+@pytest.mark.parametrize("codec", ["utf-16-le", "utf-16-be"])
+def test_utf_16_without_a_mark_is_refused(tmp_path: Path, codec: str) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_bytes(f"<?xml version='1.0' encoding='{codec}'?><X3D><Scene/></X3D>".encode(codec))
+    with pytest.raises(SceneFileError, match=":1: UTF-16 without a byte order mark"):
         load(path)
 
 

@@ -8,6 +8,7 @@ import secrets
 import sys
 import time
 
+import jax
 import numpy as np
 
 from jaxlight.cli.stress import Stress
@@ -73,6 +74,7 @@ def judge(seed: int, options: Stress, task: Task) -> list[Table]:
         print(f"  {precision}, {kind}: {done} of {count} cases, {took:.0f} s", file=sys.stderr, flush=True)
         if options.minutes and took > 60 * options.minutes:
             break
+    jax.clear_caches()  # programs of the next task would be mapped beside these, until the system has no more maps
     return list(tables.values())
 
 

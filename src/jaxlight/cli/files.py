@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from jaxlight import Scene
 
 
 def existing(*paths: Path) -> None:
@@ -22,6 +26,14 @@ def spare(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
         for path in inputs:
             if output.exists() and output.samefile(path):
                 raise ValueError(f"{output}: is an input of this command; choose another output")
+
+
+def files_of_scene(path: Path, scene: Scene) -> set[Path]:
+    """A scene's file and those that its textures name."""
+    from jaxlight.formats.texture_files import named_files
+    from jaxlight.formats.x3d_writer import all_nodes
+
+    return {path, *named_files(path, all_nodes(scene.document.children))}
 
 
 def picture_path(path: Path) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .files import spare
+from .files import files_of_scene, spare
 from .fit_views import make_views
 from .options import use_precision
 from .problem import FitProblem, Source, blamed_by_name, blamed_on, input_files
@@ -63,6 +63,7 @@ class FitJob:
         with stages(2) as stage:
             stage(f"reading {problem.scene}")
             scene = self._scene()
+            spare(files_of_scene(problem.scene, scene), outputs(problem, folder))
             stage("finding what is visible")
             views = make_views(problem, source, scene)
         from jaxlight import Free, fit
@@ -92,6 +93,9 @@ class FitJob:
                 resume=self.resume,
                 overwrite=self.overwrite,
             )
+        if not result.history:
+            print(result.message, file=sys.stderr)
+            return INTERRUPTED
         self._write(result, views, results, warned)
         print(_summary(result))
         print(f"\nwritten: {', '.join(str(path) for path in results)}")
@@ -139,6 +143,7 @@ class FitJob:
         from jaxlight.formats.safe_write import written_whole
 
         scene_file, *picture_files, report_file, numbers_file = results
+        save(result.scene, scene_file)
         with written_whole(numbers_file) as draft:
             draft.write_text(json.dumps(_numbers(result), indent=2, allow_nan=False) + "\n")
         asked = self.problem.views
@@ -147,7 +152,6 @@ class FitJob:
         title = f"{self.problem.scene.name} fitted to {', '.join(one.picture.name for one in asked)}"
         transfer = "srgb" if all(one.decode == "srgb" for one in asked) else "none"
         write_report(report_file, result, views, title=title, transfer=transfer, warnings=warned)
-        save(result.scene, scene_file)
 
 
 @contextlib.contextmanager

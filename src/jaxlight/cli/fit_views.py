@@ -6,7 +6,6 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..formats.levels import is_chosen
 from .cameras import camera_of
 from .problem import FitProblem, MapsProblem, Source, ViewProblem, blamed_on
 
@@ -34,6 +33,7 @@ def _make_view(
     view: ViewProblem, name: str, row: int, source: Source, scene: jaxlight.Scene, known: dict[Any, Any]
 ) -> jaxlight.View:
     from jaxlight import View, decode, read_image
+    from jaxlight.formats.levels import is_chosen
 
     with blamed_on(source, "views", row, "picture"):
         target = read_image(view.picture)

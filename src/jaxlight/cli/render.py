@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from .cameras import camera_of
-from .files import existing, picture_path, spare
+from .files import existing, files_of_scene, picture_path, spare
 from .options import Precision, Reading, ScenePath, SharedReading, use_precision
 from .progress import stages
 
@@ -54,6 +54,7 @@ class Render:
             from jaxlight import encode, load, rasterize, render, write_image
 
             scene = load(self.scene)
+            spare(files_of_scene(self.scene, scene), [self.output])
             camera = camera_of(scene, self.viewpoint)
             stage("finding what is visible")
             samples = rasterize(scene, camera, self.width, self.height, samples=self.samples)

@@ -195,6 +195,9 @@ def _requests(free: Any) -> list[Free]:
         if not (isinstance(one, (str, Free)) or callable(one)):
             raise ValueError(f"free: expected a field path, a function of the scene or a Free, got {one!r:.80}")
         requests.append(one if isinstance(one, Free) else Free(one))
+    for one in requests:
+        if isinstance(one.where, Sequence) and not one.where:
+            raise ValueError(f"free: expected a path or several, got {one.where!r}")
     return requests
 
 

@@ -68,7 +68,7 @@ def write_report(
     pictures = view_pictures(result, views)
     page = report_page(result, pictures, title=title, transfer=transfer, warnings=warnings)
     with written_whole(Path(path)) as draft:
-        draft.write_text(page, encoding="utf-8")
+        draft.write_text(page, encoding="utf-8", errors="replace")
 
 
 def report_page(

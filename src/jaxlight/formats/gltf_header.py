@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from .errors import SceneFileError
-from .limits import MAX_FILE_BYTES
 from .notes import ReadNotes
 
 _JSON_CHUNK = 0x4E4F534A
+_SHARED = 4
+"""Entries of accessors a byte of the file."""
 _KNOWN_EXTENSIONS = ("KHR_materials_", "KHR_texture_transform", "KHR_lights_punctual", "EXT_texture_webp")
 _UNUSED_TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")
 
@@ -33,7 +34,7 @@ def numbered_materials(path: Path, data: bytes, notes: ReadNotes) -> tuple[bytes
         raise SceneFileError(path, None, "not a glTF 2 binary file, or truncated in its header")
     try:
         header = json.loads(data[20 : 20 + length])
-        materials = _materials(path, header, notes)
+        materials = _materials(path, header, len(data), notes)
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         if isinstance(error, SceneFileError):
             raise
@@ -47,7 +48,7 @@ def numbered_materials(path: Path, data: bytes, notes: ReadNotes) -> tuple[bytes
     return head + chunk + rest, materials
 
 
-def _materials(path: Path, header: dict[str, Any], notes: ReadNotes) -> list[dict[str, Any]]:
+def _materials(path: Path, header: dict[str, Any], size: int, notes: ReadNotes) -> list[dict[str, Any]]:
     for name in header.get("extensionsRequired", []):
         if not str(name).startswith(_KNOWN_EXTENSIONS):
             raise SceneFileError(path, None, f"needs the glTF extension {name}, which jaxlight does not read")
@@ -55,8 +56,9 @@ def _materials(path: Path, header: dict[str, Any], notes: ReadNotes) -> list[dic
     for row, count in enumerate(counts):
         if count < 0:
             raise SceneFileError(path, None, f"glTF accessor {row} has {count} entries")
-    if sum(counts) > MAX_FILE_BYTES:
-        raise SceneFileError(path, None, f"announces more than {MAX_FILE_BYTES} numbers")
+    # An entry takes a byte or more; what several accessors read may be the same.
+    if sum(counts) > _SHARED * size:
+        raise SceneFileError(path, None, f"announces {sum(counts)} entries, far more than its {size} bytes can hold")
     for kind in ("animations", "skins", "cameras"):
         if header.get(kind):
             notes.skipped[f"glTF {kind}"] += len(header[kind])

@@ -6,6 +6,7 @@ PNG, JPEG, BMP, GIF, TIFF and WebP through Pillow; EXR and 16-bit colour PNG thr
 from __future__ import annotations
 
 import io
+import tempfile
 import warnings
 from pathlib import Path
 from typing import Any
@@ -44,11 +45,11 @@ def read_image(path: str | Path) -> np.ndarray:
 
 
 def decode_image(data: bytes, path: Path) -> np.ndarray:
-    """As `read_image`, from the content of a file; `path` names it in messages (and is read again for EXR)."""
+    """As `read_image`, from the content of a file; `path` names it in messages."""
     if data.startswith(_EXR):
-        return _read_with_openimageio(path, "EXR")
+        return _read_with_openimageio(data, path, "EXR")
     if data.startswith(_PNG) and data[24:25] == b"\x10" and data[25:26] in (b"\x02", b"\x04", b"\x06"):
-        return _read_with_openimageio(path, "16-bit colour PNG")
+        return _read_with_openimageio(data, path, "16-bit colour PNG")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's own word on large images; the limit here is ours
         try:
@@ -143,24 +144,47 @@ def _openimageio(what: str) -> Any:
     return OpenImageIO
 
 
-def _read_with_openimageio(path: Path, what: str) -> np.ndarray:
+def _read_with_openimageio(data: bytes, path: Path, what: str) -> np.ndarray:
     library = _openimageio(f"{path}: reading {what}")
-    as_stored = library.ImageSpec()
-    as_stored.attribute("oiio:UnassociatedAlpha", 1)  # no multiplication of colour by alpha
-    file = library.ImageInput.open(str(path), as_stored)
-    if file is None:
-        raise SceneFileError(path, None, f"not an image that can be read: {library.geterror().strip()}")
-    try:
-        spec = file.spec()
-        if spec.width * spec.height > MAX_PIXELS:
-            raise SceneFileError(path, None, f"{spec.width} x {spec.height} pixels; at most {MAX_PIXELS} are read")
-        pixels = file.read_image(library.FLOAT)
-        if pixels is None:
-            raise SceneFileError(path, None, f"damaged image: {file.geterror().strip()}")
-    finally:
-        file.close()
-    pixels = np.atleast_3d(np.asarray(pixels, dtype=np.float64))
-    return pixels[:, :, _color_channels(list(spec.channelnames))]
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / f"image{'.exr' if what == 'EXR' else '.png'}"
+        copy.write_bytes(data)  # the library opens files only
+        as_stored = library.ImageSpec()
+        as_stored.attribute("oiio:UnassociatedAlpha", 1)  # no multiplication of colour by alpha
+        file = library.ImageInput.open(str(copy), as_stored)
+        if file is None:
+            raise SceneFileError(path, None, f"not an image that can be read: {_first_line(library.geterror())}")
+        try:
+            return _pixels_of_file(library, file, path)
+        finally:
+            file.close()
+
+
+def _pixels_of_file(library: Any, file: Any, path: Path) -> np.ndarray:
+    """The picture in its whole window: what the file does not hold of it is 0."""
+    spec = file.spec()
+    height, width = spec.full_height, spec.full_width
+    channels = _color_channels(list(spec.channelnames))
+    first, last = min(channels), max(channels) + 1
+    pixels = max(spec.width * spec.height, width * height)
+    if pixels > MAX_PIXELS or pixels * (last - first) > 4 * MAX_PIXELS:
+        raise SceneFileError(path, None, f"{width} x {height} pixels; at most {MAX_PIXELS} are read")
+    held = file.read_image(0, 0, first, last, library.FLOAT)
+    if held is None:
+        raise SceneFileError(path, None, f"damaged image: {_first_line(file.geterror())}")
+    held = np.atleast_3d(np.asarray(held, dtype=np.float64))[:, :, [channel - first for channel in channels]]
+    top, left = spec.y - spec.full_y, spec.x - spec.full_x
+    if (top, left, *held.shape[:2]) == (0, 0, height, width):
+        return held
+    whole = np.zeros((height, width, held.shape[2]))
+    place = whole[max(top, 0) : max(top + spec.height, 0), max(left, 0) : max(left + spec.width, 0)]
+    inside = held[max(-top, 0) :, max(-left, 0) :]
+    place[...] = inside[: place.shape[0], : place.shape[1]]
+    return whole
+
+
+def _first_line(message: str) -> str:
+    return message.strip().partition("\n")[0]
 
 
 def _color_channels(names: list[str]) -> list[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,6 +29,7 @@ from .notes import ReadNotes
 from .x3d_checks import check_indices
 from .x3d_textures import TextureReader
 
+_INDEX_0 = re.compile(rb"^[ \t]*f(?:[ \t]+\S+)*?[ \t]+0+(?=[/\s]|\Z)", re.MULTILINE)
 CREASE_ANGLE = np.pi / 3
 """Radians. Meshes without normals are smooth up to this angle between faces: curved surfaces are, boxes are not."""
 
@@ -38,6 +40,8 @@ def read_mesh(path: Path, data: bytes, file_format: Format) -> tuple[tuple[nodes
     Raises:
         SceneFileError: the file cannot be read, holds no triangles, or has indices or numbers out of range.
     """
+    if file_format == "obj" and (zero := _INDEX_0.search(data)):
+        raise SceneFileError(path, data.count(b"\n", 0, zero.start()) + 1, "a face has the index 0; they count from 1")
     notes = ReadNotes()
     materials: list[dict[str, Any]] = []
     if file_format == "glb":
@@ -166,6 +170,8 @@ def _is_stand_in(material: Any) -> bool:
 def _face_set(mesh: Any, *, solid: bool) -> nodes.IndexedFaceSet:
     """Triangles with shared positions: where a file repeats a vertex for the sake of texture or normal, one is kept."""
     faces = np.asarray(mesh.faces, dtype=np.int64)
+    if faces.min() < 0:
+        raise ValueError(f"a face has the index {faces.min()}")
     positions, position_of = _distinct_rows(np.asarray(mesh.vertices, dtype=np.float64))
     repeated = len(positions) < len(position_of)
     corners = _with_ends(faces)
@@ -277,6 +283,8 @@ def _heard(notes: ReadNotes) -> Iterator[None]:
 
 
 def _sentence(error: Exception) -> str:
+    if isinstance(error, ImportError):  # of what guesses an encoding: bytes that are no text, and not whole
+        return "neither text nor complete"
     text = str(error).strip().partition("\n")[0]
     text = f"an index is out of range: {text}" if isinstance(error, IndexError) else text
     return text[:200] if text else type(error).__name__

@@ -12,7 +12,7 @@ from .texture_files import TexturePlan, named_files, texture_url
 from .x3d_editor import with_attributes
 from .x3d_fields import fields_of
 from .x3d_source import X3DSource
-from .x3d_writer import child_nodes, write_x3d
+from .x3d_writer import all_nodes, write_x3d
 from .xml_elements import parse_xml
 
 
@@ -45,7 +45,7 @@ def save(scene: Scene, path: str | Path) -> None:
         plan = TexturePlan(path, {*source.texture_files.values(), *named_files(path, source.element_numbers)})
         data = _edited_source(source, changes, plan)
     else:
-        everything = _all_nodes(scene.document.children)
+        everything = all_nodes(scene.document.children)
         plan = TexturePlan(path, named_files(path, everything))
         data = _new_file(scene.document.children, everything, changes, plan)
     plan.carry_out()
@@ -98,15 +98,3 @@ def _new_file(
     except ValueError as error:
         raise ValueError(f"save: the scene cannot be written as XML: {error}") from None
     return data
-
-
-def _all_nodes(children: tuple[nodes.Node, ...]) -> list[nodes.Node]:
-    """Every node once, in no particular order."""
-    seen: dict[nodes.Node, None] = {}
-    stack = list(children)
-    while stack:
-        node = stack.pop()
-        if node not in seen:
-            seen[node] = None
-            stack.extend(child_nodes(node))
-    return list(seen)

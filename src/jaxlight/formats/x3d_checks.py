@@ -39,9 +39,10 @@ def _check_triangles(
 
 def _check_face_set(geometry: nodes.IndexedFaceSet) -> None:
     """Each list of vertex data has an index of its own; without one the coordinates' is used, or one a face."""
-    if geometry.coord is None:
-        return
     corners = geometry.coord_index
+    if geometry.coord is None:
+        _check_within(geometry, "coord_index", corners, 0, "coord")
+        return
     ends = corners == -1
     open_end = int(len(corners) > 0 and not ends[-1])
     faces = int(np.count_nonzero(ends)) + open_end

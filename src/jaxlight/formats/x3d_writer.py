@@ -80,6 +80,18 @@ def child_nodes(node: nodes.Node) -> list[nodes.Node]:
     return found
 
 
+def all_nodes(children: tuple[nodes.Node, ...]) -> list[nodes.Node]:
+    """Every node once, in no particular order."""
+    seen: dict[nodes.Node, None] = {}
+    stack = list(children)
+    while stack:
+        node = stack.pop()
+        if node not in seen:
+            seen[node] = None
+            stack.extend(child_nodes(node))
+    return list(seen)
+
+
 def _attributes(node: nodes.Node) -> dict[str, str]:
     """The value fields that are not at their default, as text."""
     kind = type(node)

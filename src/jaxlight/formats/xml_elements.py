@@ -16,7 +16,7 @@ from .limits import MAX_ELEMENTS, MAX_NESTING
 
 @dataclasses.dataclass(slots=True, eq=False)
 class Element:
-    """One XML element: its tag and attributes without namespaces, the line and number of its start tag."""
+    """One XML element: its tag without a namespace, its own attributes, the line and number of its start tag."""
 
     tag: str
     attributes: dict[str, str]
@@ -42,7 +42,7 @@ class _Builder:
             raise SceneFileError(self.path, line, f"more than {MAX_ELEMENTS} elements, the most that is read")
         if len(self.open) >= MAX_NESTING:
             raise SceneFileError(self.path, line, f"elements nested deeper than {MAX_NESTING}")
-        element = Element(_local(tag), {_local(name): value for name, value in attributes.items()}, line, self.count)
+        element = Element(_local(tag), _own(attributes), line, self.count)
         self.count += 1
         if self.open:
             self.open[-1].children.append(element)
@@ -55,6 +55,11 @@ class _Builder:
 
     def close(self) -> None:
         """The parser asks for it at the end."""
+
+
+def _own(attributes: dict[str, str]) -> dict[str, str]:
+    """Without those of other namespaces: an attribute of X3D's own has no prefix."""
+    return {name: value for name, value in attributes.items() if not name.startswith("{")}
 
 
 def _local(name: str) -> str:
@@ -70,6 +75,8 @@ def parse_xml(path: Path, data: bytes) -> Element:
     Raises:
         SceneFileError: malformed XML, an entity declaration, too many elements or too deep a nesting; with the line.
     """
+    if data.startswith((b"<\0", b"\0<")):
+        raise SceneFileError(path, 1, "UTF-16 without a byte order mark")
     builder = _Builder(path)
     parser = DefusedXMLParser(target=builder)
     builder.parser = parser.parser

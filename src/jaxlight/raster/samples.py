@@ -136,6 +136,10 @@ class SampleBuffer(eqx.Module):
         tile = None if tile is None else whole("SampleBuffer: tile", tile, at_least=1)
         if tile is not None and tile & (tile - 1):
             raise ValueError(f"SampleBuffer: tile: expected a power of two, got {tile}")
+        largest = float(jnp.finfo(jnp.result_type(float) if dtype is None else dtype).max)
+        for name, numbers in (("position", position), ("normal", normal), ("eye", eye)):
+            if np.any(np.abs(numbers) > largest):
+                raise ValueError(f"SampleBuffer: {name}: {np.abs(numbers).max():g} is larger than its type holds")
         layout = _layout(surface, tile, position if by_place else None)
 
         def planes(values: np.ndarray | None) -> Any:

@@ -29,10 +29,10 @@ _UNEVEN = 0.02
 
 def check_scene(scene: Scene) -> None:
     """Raise ValueError for what is no Scene, and for leaves that are not what its classes state."""
-    if _checked.get(id(scene)) is scene:
-        return
     if not isinstance(scene, Scene):
         raise ValueError(f"scene: expected a Scene, got {type(scene).__name__}")
+    if _checked.get(id(scene)) is scene:
+        return
     for kind, attribute in ATTRIBUTES.items():
         owner = getattr(scene, attribute)
         if isinstance(owner, tuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from .transforms import IDENTITY, compose, frame_kind, is_invertible, transform_
 
 MAX_DEPTH = 400
 MAX_PLACED = 1_000_000
+MAX_SCOPED = 10_000_000
 
 _Light = nodes.DirectionalLight | nodes.PointLight | nodes.SpotLight
 _HEADLIGHT = nodes.DirectionalLight(name="headlight", global_=True)
@@ -105,6 +106,11 @@ def scene_from_nodes(children: nodes.Node | Sequence[nodes.Node], *, dtype: Any 
         row = surfaces.setdefault(key, len(surfaces))
         placed.append(PlacedShape(shape, to_world, row))
 
+    if len(surfaces) * len(lights) > MAX_SCOPED:
+        raise ValueError(
+            f"scene: {len(lights)} lights over {len(surfaces)} surfaces; their product may be at most {MAX_SCOPED}"
+        )
+
     def of_kind(kind: type[_Light]) -> list[tuple[Any, np.ndarray, np.ndarray]]:
         """(node, to_world, in_scope over surfaces) of the lights of one kind."""
         return [
@@ -133,7 +139,7 @@ def scene_from_nodes(children: nodes.Node | Sequence[nodes.Node], *, dtype: Any 
         point=stack.point(point),
         spot=stack.spot(spot),
         fog=stack.fog(*walk.fogs[0]) if walk.fogs else None,
-        textures=tuple(Texture(stack.floats(node.image), node.name, node.image.shape[:2]) for node in textures),
+        textures=tuple(map(stack.texture, textures)),
         surfaces=tuple(surface for surface, _ in surfaces),
         document=document,
     )
@@ -164,25 +170,43 @@ class _Stack:
 
     dtype: Any
 
-    def floats(self, values: Any) -> Any:
-        return jnp.asarray(np.asarray(values, dtype=np.float64), dtype=self.dtype)
+    def floats(self, values: Any, where: str | Callable[[int], str] = "") -> Any:
+        """`where` names the values, or those of a row, in the error that one is too large for the type."""
+        wide = np.asarray(values, dtype=np.float64)
+        largest = float(jnp.finfo(jnp.result_type(float) if self.dtype is None else self.dtype).max)
+        too_large = np.isfinite(wide) & (np.abs(wide) > largest)
+        if np.any(too_large):
+            place = tuple(np.argwhere(too_large)[0].tolist())
+            name = where if isinstance(where, str) else where(place[0])
+            raise ValueError(f"{name}: {wide[place]:g} is larger than {largest:.3g}, the most that the type holds")
+        return jnp.asarray(wide, dtype=self.dtype)
 
     def _fields(self, rows: list[Any], *names: str) -> dict[str, Any]:
-        return {name: self.floats([getattr(node, name) for node in rows]) for name in names}
+        def field(name: str) -> Any:
+            return self.floats([getattr(node, name) for node in rows], lambda row: f"{rows[row].label}.{name}")
+
+        return {name: field(name) for name in names}
 
     def _light(self, lights: list[tuple[Any, np.ndarray, np.ndarray]], *names: str) -> dict[str, Any]:
-        rows = [light for light, _, _ in lights]
+        rows, frames = [light for light, _, _ in lights], [to_world for _, to_world, _ in lights]
         return {
             **self._fields(rows, "ambient_intensity", "color", "intensity", *names),
             "on": Flags([light.on for light in rows]),
             "in_scope": Flags(np.stack([scope for _, _, scope in lights], axis=1)),
-            "to_world": self.floats([to_world for _, to_world, _ in lights]),
+            "to_world": self.floats(
+                [to_world for _, to_world, _ in lights], lambda row: f"{rows[row].label}: its frame"
+            ),
             "names": tuple(light.name for light in rows),
-            "frame": frame_kind([to_world for _, to_world, _ in lights]),
+            "frame": frame_kind(frames),
         }
 
     def _to_local(self, lights: list[tuple[Any, np.ndarray, np.ndarray]]) -> Any:
-        return self.floats([np.linalg.inv(to_world[:, :3]) for _, to_world, _ in lights])
+        inverses = [np.linalg.inv(to_world[:, :3]) for _, to_world, _ in lights]
+        return self.floats(inverses, lambda row: f"{lights[row][0].label}: the inverse of its frame")
+
+    def texture(self, node: nodes.ImageTexture | nodes.PixelTexture) -> Texture:
+        image: Any = node.image  # nodes without one are no textures of a scene
+        return Texture(self.floats(image, f"{node.label}.image"), node.name, image.shape[:2])
 
     def materials(self, rows: list[nodes.Material]) -> Materials | None:
         if not rows:
@@ -208,9 +232,9 @@ class _Stack:
 
     def fog(self, node: nodes.Fog, to_world: np.ndarray) -> Fog:
         return Fog(
-            color=self.floats(node.color),
-            visibility_range=self.floats(node.visibility_range),
-            to_local=self.floats(np.linalg.inv(to_world[:, :3])),
+            color=self.floats(node.color, f"{node.label}.color"),
+            visibility_range=self.floats(node.visibility_range, f"{node.label}.visibility_range"),
+            to_local=self.floats(np.linalg.inv(to_world[:, :3]), f"{node.label}: the inverse of its frame"),
             fog_type=node.fog_type,  # type: ignore[arg-type]  # checked when the node was made
             name=node.name,
             frame=frame_kind([to_world]),  # type: ignore[arg-type]  # one of the kinds
