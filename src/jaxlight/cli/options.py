@@ -21,7 +21,7 @@ class Reading:
     """How the specification is read where its texts disagree (docs/readings.md), and how accurately it is computed."""
 
     texture_mode: Literal["replace", "modulate"] = "replace"
-    """RGB textures replace the diffuse colour (tables 17.2 and 17.3) or modulate it (17.2.2.3)."""
+    """RGB textures replace the diffuse colour (tables 4.6 and 17.3) or modulate it (17.2.2.3)."""
     fog_unlit: bool = True
     """Fog covers unlit shapes too."""
     specular_gate: bool = False

@@ -53,7 +53,7 @@ class FitSettings:
     atol: float | None = None
     """Absolute tolerance of the numbers."""
     starts: int = 1
-    """More than 1: also begin from that many random places of lights and exponents of highlights."""
+    """So many starts: the given one, the others with random places of lights and exponents of highlights."""
     seed: int = 0
     """Of the random starts."""
     checkpoint_seconds: float = 1.0

@@ -1,6 +1,7 @@
-"""Loss, gradient and Gauss-Newton matrix of a fit, streamed over tiles of samples: J is never held.
+"""Loss, gradient and Gauss-Newton matrix of a fit, streamed over tiles of samples: J is never held, but for pixels that
+gather several samples (`pixels`).
 
-This file is the seam between fitting and rendering: solvers know only `loss` and `normal_equations`.
+Solvers know only `loss` and `normal_equations`.
 
 With residuals r (weighted, one a colour of a sample or pixel) and a loss rho:
     loss = 1/2 sum rho(r^2),   gradient = sum rho' J r,   curvature = sum rho' J J^T   (J = dr/dparameters)

@@ -1,4 +1,4 @@
-"""X3D field values <-> text of the XML encoding (X3D part 2 of ISO/IEC 19776, clause 5).
+"""X3D field values <-> text of the XML encoding (ISO/IEC 19776-1, clause 5).
 
 Reading is linear in the length of the text; writing gives the shortest digits that read back as the same number.
 """
