@@ -66,7 +66,7 @@ def _run(name: str, minutes: float, options: Options) -> int:
     command = [sys.executable, "-m", f"benchmarks.{name}", "--minutes", f"{minutes:.2f}"]
     command += ["--output", str(options.output)]
     command += ["--quick"] * options.quick
-    gated = name in ("peers", "scaling", "culling", "fits", "startup")
+    gated = name in ("peers", "scaling", "culling", "fits")
     command += ["--gate"] * (options.gate and gated) + ["--write-baseline"] * (options.write_baseline and gated)
     if name == "peers" and options.yardstick is not None:
         command += ["--yardstick", str(options.yardstick)]
