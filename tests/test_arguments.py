@@ -69,6 +69,7 @@ def test_fields_that_are_none(scene: Scene, view: View, free: Any, message: str)
 OTHERS: list[tuple[Callable[[Scene, View, Fit], Any], str]] = [
     (lambda s, v, r: fit(s, v, DIFFUSE, loss_scale=0.5), "loss_scale: squares have none; .* got 0.5"),
     (lambda s, v, r: fit(s, v, DIFFUSE, log="a.npz", checkpoint="a.npz"), "log: expected another file than the check"),
+    (lambda s, v, r: fit(s, v, DIFFUSE, progress=5), "progress: expected a function of a Step, got 5"),
     (lambda s, v, r: fitted_values(r), "problem: expected the problem of a fit .* got Fit"),
     (lambda s, v, r: check_gradients(s, v.samples, 3), "fields: expected paths"),
     (lambda s, v, r: check_gradients(s, v.samples, seed="a"), "seed: expected a whole number >= 0, got 'a'"),
@@ -98,3 +99,14 @@ def test_other_arguments_that_are_none(
     with pytest.raises(ValueError, match=message):
         act(scene, view, result)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_log_replaces_logs_only(scene: Scene, view: View, tmp_path: Path) -> None:
+    other, log = tmp_path / "scene.x3d", tmp_path / "log.jsonl"
+    other.write_text("<X3D/>")
+    with pytest.raises(ValueError, match=r"scene.x3d is no log of a fit, and is not replaced by one"):
+        fit(scene, view, DIFFUSE, max_steps=1, log=other)
+    assert other.read_text() == "<X3D/>"
+    for _ in range(2):
+        fit(scene, view, DIFFUSE, max_steps=1, log=log)
+    assert log.read_text().count('"begin"') == 1

@@ -340,6 +340,9 @@ WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "background of words": ({"background": "white"}, {}, "View[0].background: expected numbers, got 'white'"),
     "NaN background": ({"background": (np.nan, 0, 0)}, {}, "View[0].background: every number must be finite"),
     "saturated": ({"saturated": np.nan}, {}, "View[0].saturated: expected a number, got nan"),
+    "dark above saturated": (
+        {"dark": 0.5, "saturated": 0.5}, {}, "View[0].dark: expected a number below `saturated`, 0.5, got 0.5",
+    ),
     "saturated word": ({"saturated": "a"}, {}, "View[0].saturated: expected a number, got 'a'"),
     "dark": ({"dark": np.nan}, {}, "View[0].dark: expected a number, got nan"),
     "exposures": ({"exposure": np.ones(3), "name": "front"}, {}, "View[front].exposure: expected a finite number > 0, got [1. 1. 1.]"),

@@ -142,7 +142,7 @@ def fit(
             of the scene (`lambda s: s.materials.shininess`) or `Free`s; a mapping from path to options of `Free`.
         loss: "squares"; "huber" and "cauchy" forgive residuals larger than `loss_scale`.
         options: readings of the specification, as for `shade`.
-        max_steps: evaluations at most; reaching it is never reported as success.
+        max_steps: steps to try at most; reaching it is never reported as success.
         rtol, atol: relative and absolute tolerance of the parameters (default: what the precision can reach).
         starts: more than 1: begin from so many places, the given one and random places and directions of lights and
             exponents of highlights, a few steps each, and carry on from the lowest.
@@ -173,6 +173,8 @@ def fit(
     non_negative("checkpoint_seconds", checkpoint_seconds, infinite=True)
     if log is not None and checkpoint is not None and Path(log) == Path(checkpoint):
         raise ValueError(f"log: expected another file than the checkpoint, got {str(log)!r} for both")
+    if progress is not None and not callable(progress):
+        raise ValueError(f"progress: expected a function of a Step, got {progress!r:.60}")
     if resume and checkpoint is None:
         raise ValueError("resume: expected a checkpoint to resume from")
     if resume and overwrite:

@@ -21,6 +21,8 @@ from .problem import Description, Problem
 from .run import FitState
 from .steps import Step
 
+_FIRST = b'{"event":'
+"""What logs begin with."""
 _PACKAGES = ("jaxlight", "jax", "optimistix", "equinox", "numpy")
 
 
@@ -34,11 +36,16 @@ class RunLog:
     Args:
         path: the file; its folder is made if it is not there.
         append: carry on with a log that is there.
+
+    Raises:
+        ValueError: another file is there.
     """
 
     def __init__(self, path: str | Path, *, append: bool = False) -> None:
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_file() and not _is_log(path):
+            raise ValueError(f"log: {path} is no log of a fit, and is not replaced by one")
         if append and path.exists():
             os.truncate(path, path.read_bytes().rfind(b"\n") + 1)
         self._file = path.open("ab" if append else "wb", buffering=0)
@@ -46,11 +53,16 @@ class RunLog:
     def write(self, event: str, **content: Any) -> None:
         """One line."""
         line = json.dumps({"event": event, **_plain(content)}, allow_nan=False, ensure_ascii=False)
-        self._file.write(f"{line}\n".encode())
+        self._file.write(f"{line}\n".encode(errors="replace"))  # names of files need not be text
 
     def close(self) -> None:
         """No more lines."""
         self._file.close()
+
+
+def _is_log(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(_FIRST)) in (b"", _FIRST)
 
 
 class Record:

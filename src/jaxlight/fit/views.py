@@ -133,6 +133,8 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         default if given is None else number(f"{label}.{field}", given, infinite=True)
         for field, given, default in (("saturated", view.saturated, np.inf), ("dark", view.dark, -np.inf))
     )
+    if dark >= saturated:
+        raise ValueError(f"{label}.dark: expected a number below `saturated`, {saturated:g}, got {dark:g}")
     target = np.broadcast_to(np.where(used[:, None], target, 0.0), (layout.points, 3))
     root_weight = np.sqrt(weight) * used[:, None]
     rows = None if view.lights is None else light_rows(scene, view.lights)
