@@ -173,7 +173,11 @@ MISTAKES = {
         'loss = "huber"\nloss_scale = -1\n[start]',
         "5: loss_scale: for the huber loss: expected a finite number > 0, got -1",
     ),
-    "bounds without the start": ("lower = 0.1", "lower = 0.99", "outside its bounds [0.99, 1]"),
+    "bounds without the start": ("lower = 0.1", "lower = 0.99", "3: free[1]: Material[body].diffuse_color.r starts at"),
+    "no exposure": ("mask =", "exposure = -1\nmask =", "10: views[1].exposure: expected a finite number > 0, got -1"),
+    "no noise": ("mask =", "noise = 0\nmask =", "10: views[1].noise: every standard deviation must be finite and > 0"),
+    "no such light": ("mask =", 'lights = ["PointLight[zz]"]\nmask =', "10: views[1].lights: the scene has no 'PointL"),
+    "no path": ('path = "Material[body].diffuse_color"', "path = []", "free: expected a path or several, got ()"),
 }
 
 

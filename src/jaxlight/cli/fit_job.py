@@ -72,7 +72,7 @@ class FitJob:
         if method is not None and self.resume:
             raise ValueError(f"--resume: the solver {problem.solver} has no checkpoints")
         frees = [dataclasses.asdict(one) for one in problem.frees]
-        with blamed_by_name(source):
+        with blamed_by_name(source, [view.name for view in views], problem.frees):
             result = fit(
                 scene,
                 views,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol
 
@@ -162,16 +163,30 @@ def blamed_on(source: Source, *key: str | int) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def blamed_by_name(source: Source) -> Iterator[None]:
-    """Errors of the block that begin with the name of a setting, as those of `fit` do, are about its entry."""
-    settings = [field.name for field in dataclasses.fields(FitSettings)]
+def blamed_by_name(source: Source, views: Sequence[str], free: Sequence[FreeProblem]) -> Iterator[None]:
+    """Errors of the block that begin with what they are about, as those of `fit` do, are about its entry.
+
+    Args:
+        source: of the entries.
+        views: names of the views: of a view it is `View[name].field`.
+        free: of a setting it is its name, of a free field its path.
+    """
     try:
         yield
     except ValueError as error:
-        name, _, message = str(error).partition(": ")
-        if name in settings:
+        text = str(error)
+        name, _, message = text.partition(": ")
+        if name in ("free", *(field.name for field in dataclasses.fields(FitSettings))):
             raise source.error((name,), message) from None
-        raise source.error((), str(error)) from None
+        of_view = re.fullmatch(r"View\[(.*)\]\.(\w+)", name)
+        if of_view and of_view[1] in views and not isinstance(source, CommandLine):
+            raise source.error(("views", views.index(of_view[1]), of_view[2]), message) from None
+        rows = [
+            row
+            for row, one in enumerate(free)
+            if any(text.startswith(tuple(p + end for end in ": .[")) for p in one.paths)
+        ]
+        raise source.error(("free", rows[0]) if rows else (), text) from None
 
 
 def input_files(problem: Any) -> list[Path]:

@@ -137,7 +137,7 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         raise ValueError(f"{label}.dark: expected a number below `saturated`, {saturated:g}, got {dark:g}")
     target = np.broadcast_to(np.where(used[:, None], target, 0.0), (layout.points, 3))
     root_weight = np.sqrt(weight) * used[:, None]
-    rows = None if view.lights is None else light_rows(scene, view.lights)
+    rows = None if view.lights is None else _light_rows(label, scene, view.lights)
     chosen = [None] * 3 if rows is None else [rows[kind] for kind in LIGHT_KINDS]
     scopes = [_scope(getattr(scene, kind), own) for kind, own in zip(LIGHT_ATTRIBUTES, chosen, strict=True)]
     return ViewData(
@@ -166,6 +166,13 @@ def _numbers(where: str, value: Any) -> np.ndarray:
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise ValueError(f"{where}: expected numbers, got {value!r:.60}") from None
+
+
+def _light_rows(label: str, scene: Scene, lights: Any) -> dict[str, np.ndarray]:
+    try:
+        return light_rows(scene, lights)
+    except ValueError as error:
+        raise ValueError(f"{label}.{error}") from None
 
 
 def _scope(lights: Any, rows: np.ndarray | None) -> Flags | None:
