@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -20,15 +21,16 @@ class Leftover(NamedTuple):
     With a loss rho, psi = rho'(r^2) r is what is heard of a residual; of squares that is r.
     """
 
-    count: Float[Array, ""]
-    squares: Float[Array, ""]
+    count: Any
+    squares: Any
     """Of psi^2."""
-    heard: Float[Array, ""]
+    heard: Any
     """Of psi / r."""
-    slopes: Float[Array, ""]
+    slopes: Any
     """Of dpsi / dr."""
 
 
+@eqx.filter_jit
 def leftover(problem: Problem, values: Float[Array, " parameters"]) -> Leftover:
     """The sums at these values, over all views."""
     world = problem.at(values)

@@ -97,6 +97,7 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
         wide = widened(problem)
         at = jnp.asarray(np.asarray(values), jnp.float64)
         reduced = jax.tree.map(lambda a: np.asarray(a, np.float64), _reduced(wide, at))
+        left = None if description.noise_known else Leftover(*map(float, leftover(wide, at)))
     found = np.asarray(values, np.float64)
     lower, upper = (np.asarray(a, np.float64)[:count] for a in (problem.parameters.lower, problem.parameters.upper))
     texels, found = found[count:], found[:count]
@@ -110,7 +111,7 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
     rank = int(np.count_nonzero(~held & ~seen.unseen)) - len(seen.null)
     inverse = _pseudo_inverse(curvature, seen.scale, ~held & ~seen.unseen, len(seen.null))
     fitted = rank - float(np.diagonal(inverse) @ reduced.precision) + float(reduced.texels)
-    noise, variance = (1.0, 1.0) if description.noise_known else _noise(reduced.left, fitted)
+    noise, variance = (1.0, 1.0) if left is None else _noise(left, fitted)
     is_known = np.isfinite(noise)
     covariance = inverse
     if is_known:
@@ -137,7 +138,7 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
         ambiguities=tuple(ambiguities(seen, found, labels, description.fields, partners)),
         hardly_seen=tuple((labels[i], float(error[i])) for i in np.flatnonzero(hardly).tolist()),
         correlations=tuple(_correlations(covariance, labels, traded)),
-        remarks=tuple(_remarks(problem, description, float(reduced.left.count), fitted)),
+        remarks=() if left is None else tuple(_remarks(problem, left.count, fitted)),
     )
 
 
@@ -157,7 +158,6 @@ class _Reduced(NamedTuple):
     """See `Strides.sizes`."""
     texels: Any
     """How many texels the pictures determine: of one that a prior holds as well, the pictures' share of it."""
-    left: Leftover
 
 
 def _noise(left: Leftover, fitted: float) -> tuple[float, float]:
@@ -165,17 +165,15 @@ def _noise(left: Leftover, fitted: float) -> tuple[float, float]:
 
     Of a robust loss that is the M-estimator's sum(psi^2) / sum(dpsi/dr)^2, times the weights that are in the curvature.
     """
-    freedom = float(left.count) - fitted
-    if freedom < 0.5 or float(left.slopes) <= 0:
+    freedom = left.count - fitted
+    if freedom < 0.5 or left.slopes <= 0:
         return np.inf, np.inf
-    slope, heard = float(left.slopes) / float(left.count), float(left.heard) / float(left.count)
-    noise = float(np.sqrt(float(left.squares) / freedom)) / slope
-    return noise, noise**2 * heard
+    noise = float(np.sqrt(left.squares / freedom)) * left.count / left.slopes
+    return noise, noise**2 * left.heard / left.count
 
 
-def _remarks(problem: Problem, description: Description, residuals: float, fitted: float) -> list[str]:
-    if description.noise_known:
-        return []
+def _remarks(problem: Problem, residuals: float, fitted: float) -> list[str]:
+    """Of a fit whose noise is not stated."""
     said = []
     if residuals - fitted < 0.5:
         said.append(
@@ -191,7 +189,7 @@ def _remarks(problem: Problem, description: Description, residuals: float, fitte
 
 @eqx.filter_jit
 def _reduced(problem: Problem, values: Any) -> _Reduced:
-    parameters, left = problem.parameters, leftover(problem, values)
+    parameters = problem.parameters
     loss, gradient, matrix = normal.normal_equations(problem, values)
     curvature, count = as_curvature(matrix), parameters.few
     diagonal = curvature.diagonal()
@@ -199,7 +197,7 @@ def _reduced(problem: Problem, values: Any) -> _Reduced:
     precision, sizes = parameters.prior_precision, problem.strides.sizes(values)[:count]
     if not isinstance(curvature, ArrowCurvature):
         texels = jnp.zeros(())
-        return _Reduced(loss, gradient, matrix, jnp.zeros((0, count)), lengths, precision, sizes, texels, left)
+        return _Reduced(loss, gradient, matrix, jnp.zeros((0, count)), lengths, precision, sizes, texels)
     on_lower, on_upper = values <= parameters.lower, values >= parameters.upper
     held = (on_lower & (gradient > 0)) | (on_upper & (gradient < 0))
     reduced, answers = curvature.eliminated(problem.sampling, ~held[count:])
@@ -212,7 +210,7 @@ def _reduced(problem: Problem, values: Any) -> _Reduced:
     said = (pictures > 1e-9 * diagonal[count:]) & ~held[count:]
     share = pictures / jnp.where(said, pictures + precision[count:] + degree, 1)
     texels = jnp.sum(jnp.where(said, share, 0))
-    return _Reduced(loss, gradient[:count], reduced, answers, lengths, precision[:count], sizes, texels, left)
+    return _Reduced(loss, gradient[:count], reduced, answers, lengths, precision[:count], sizes, texels)
 
 
 def _offsets(problem: Problem) -> list[int]:
