@@ -25,6 +25,11 @@ def test_import_loads_neither_jax_nor_numpy() -> None:
     assert run_python(code).strip() == "[]"
 
 
+def test_help_does_not_load_jax() -> None:
+    code = "import sys; from jaxlight.cli import main; main(['--help']); sys.exit('jax' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], stdout=subprocess.DEVNULL, timeout=60).returncode == 0
+
+
 def test_using_every_name_starts_no_device_and_changes_no_setting() -> None:
     code = """
 import json, jax

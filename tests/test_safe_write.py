@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from jaxlight.cli.files import spare
 from jaxlight.formats.safe_write import written_whole
 
 
@@ -55,3 +56,11 @@ def test_an_error_leaves_what_there_was(tmp_path: Path, there: bool) -> None:
         draft.write_text("half")
         raise RuntimeError
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == ([("a.txt", "old")] if there else [])
+
+
+def test_spare_follows_links(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("")
+    os.link(tmp_path / "a", tmp_path / "b")
+    with pytest.raises(ValueError, match="input"):
+        spare([tmp_path / "a"], [tmp_path / "b"])
+    spare([tmp_path / "a"], [tmp_path / "c"])
