@@ -295,7 +295,8 @@ def test_texels_that_nothing_shows_take_no_part(texels: int) -> None:
         )  # fmt: skip
         view = View(samples, np.asarray(shade(scene, samples))[:, :3] + noise)
         found = fit(scene, view, ["Texture[skin].image"]).uncertainty
-        assert texels == 64 or found.noise == pytest.approx(0.01, rel=0.1)
+        # Of 64 x 64 each sample shows another texel: nothing is left to tell the noise from.
+        assert found.noise == (pytest.approx(0.01, rel=0.1) if texels == 24 else np.inf)
         held = fit(scene, view, [Free("Texture[skin].image", mean=image, deviation=1e-3)]).uncertainty
         assert held.noise == pytest.approx(0.01, rel=0.1)
 

@@ -52,7 +52,7 @@ class Contender(abc.ABC):
         """What a fit found."""
         raise NotImplementedError
 
-    def release(self) -> None:  # noqa: B027
+    def release(self) -> None:  # noqa: B027  # to be overridden by those that have some
         """Gives cached memory back, so that a peak can be measured. Most have none."""
 
 

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from ..lighting import shade_planes
 from ..raster.samples import LANES
+from ..scene.scene import Scene
 from .views import ViewData
 
 LossKind = Literal["squares", "huber", "cauchy"]
@@ -36,7 +37,7 @@ def composited(color: Array, alpha: Array, background: Array | None) -> Array:
     return color if background is None else alpha * color + (1 - alpha) * background
 
 
-def view_colors(scene: object, view: ViewData, exposure: Array) -> Float[Array, "3 points"]:
+def view_colors(scene: Scene, view: ViewData, exposure: Array) -> Float[Array, "3 points"]:
     """What the model says a view looks like, all points at once; a point with several samples is their weighted sum.
 
     Args:
@@ -44,7 +45,7 @@ def view_colors(scene: object, view: ViewData, exposure: Array) -> Float[Array, 
         view: its samples, background and pixels.
         exposure: [], factor on all colours.
     """
-    planes = shade_planes(scene, view.samples, plan=view.plan)  # type: ignore[arg-type]
+    planes = shade_planes(scene, view.samples, plan=view.plan)
     color, alpha = planes[:3], planes[3]
     if view.pixel is None:
         return exposure * composited(color, alpha, view.background)

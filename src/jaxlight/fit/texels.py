@@ -97,7 +97,7 @@ def _change_by_texel(tile: Tile, inputs: Any, images: tuple[Array, ...], block: 
         return tile.residual(with_textures(inputs, (*images[: block.texture], own, *images[block.texture + 1 :])))
 
     change = jax.jvp(residual, (image,), (ones,))[1]
-    total = jnp.sum(tile.cut(tile.view.samples.texel_weight), axis=0)  # type: ignore[arg-type]
+    total = jnp.sum(tile.cut(tile.view.samples.texel_weight), axis=0)  # type: ignore[arg-type]  # its samples have it
     return jnp.where(total != 0, change / jnp.where(total != 0, total, 1), 0)
 
 

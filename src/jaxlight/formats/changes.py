@@ -71,7 +71,7 @@ def updated_children(
                 elif value is not None:
                     fields[name] = updated(value)
             moved = any(not _identical(getattr(new, name), value) for name, value in fields.items())
-            done[node] = dataclasses.replace(new, **fields) if moved else new  # type: ignore[type-var]
+            done[node] = dataclasses.replace(new, **fields) if moved else new  # type: ignore[type-var]  # a dataclass
         return done[node]
 
     return tuple([updated(child) for child in children])
@@ -121,7 +121,7 @@ def _changed_fog(node: nodes.Fog, fog: Any) -> dict[str, Any]:
 
 def _shared_fields(node: nodes.Node, group: Any) -> list[str]:
     """The fields that a node class and the struct of arrays of its kind have in common."""
-    own = {field.name for field in dataclasses.fields(node)}  # type: ignore[arg-type]
+    own = {field.name for field in dataclasses.fields(node)}  # type: ignore[arg-type]  # a dataclass
     return [field.name for field in dataclasses.fields(group) if field.name in own]
 
 

@@ -240,7 +240,7 @@ def _read(
         vertex_color=vertex_color,
         texel=texel,
         material=material,
-        lights=tuple(map(_in_reach, all_lights, how.plan.lights, in_scope)) if lit_material else (None,) * 3,  # type: ignore[arg-type]
+        lights=tuple(map(_in_reach, all_lights, how.plan.lights, in_scope)) if lit_material else (None,) * 3,  # type: ignore[arg-type]  # three kinds
         fog=prepared.fog if lit_material or plan.options.fog_unlit else None,
     )
     ordinary = for_all_mapped(jnp.all(lax.dynamic_slice_in_dim(prepared.ordinary, first, count)))

@@ -50,7 +50,7 @@ Matrix = tuple[Vector, Vector, Vector]
 
 def matrix_of(rows: Float[Array, "... 3 3"]) -> Matrix:
     """The matrix from an array that is indexed [..., row, column]."""
-    return tuple(Vector(rows[..., i, 0], rows[..., i, 1], rows[..., i, 2]) for i in range(3))  # type: ignore[return-value]
+    return tuple(Vector(rows[..., i, 0], rows[..., i, 1], rows[..., i, 2]) for i in range(3))  # type: ignore[return-value]  # three rows
 
 
 def transform(matrix: Matrix, v: Vector) -> Vector:

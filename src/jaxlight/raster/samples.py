@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..scene.fields import float_type, whole
+from ..scene.fields import float_type, largest_of, whole
 
 MAX_TILE = 1024
 MIN_TILE = 64
@@ -136,7 +136,7 @@ class SampleBuffer(eqx.Module):
         tile = None if tile is None else whole("SampleBuffer: tile", tile, at_least=1)
         if tile is not None and tile & (tile - 1):
             raise ValueError(f"SampleBuffer: tile: expected a power of two, got {tile}")
-        largest = float(jnp.finfo(jnp.result_type(float) if dtype is None else dtype).max)
+        largest = largest_of(dtype)
         for name, numbers in (("position", position), ("normal", normal), ("eye", eye)):
             if np.any(np.abs(numbers) > largest):
                 raise ValueError(f"SampleBuffer: {name}: {np.abs(numbers).max():g} is larger than its type holds")

@@ -117,6 +117,11 @@ def integer(where: str, value: Any) -> int:
     return int(x)
 
 
+def largest_of(dtype: Any) -> float:
+    """The largest number of a float type; None: JAX's own type."""
+    return float(jnp.finfo(jnp.result_type(float) if dtype is None else dtype).max)
+
+
 def float_type(where: str, value: Any) -> jnp.dtype | None:
     """A type of floating-point numbers; None, JAX's own, stays."""
     allowed = "a floating-point type such as 'float32'"

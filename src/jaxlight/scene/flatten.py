@@ -11,7 +11,7 @@ import numpy as np
 
 from . import nodes
 from .document import Document, PlacedShape, PlacedViewpoint
-from .fields import float_type
+from .fields import float_type, largest_of
 from .flags import Flags
 from .scene import DirectionalLights, Fog, Materials, PointLights, Scene, SpotLights, Surface, Texture
 from .transforms import IDENTITY, compose, frame_kind, is_invertible, transform_matrix
@@ -173,7 +173,7 @@ class _Stack:
     def floats(self, values: Any, where: str | Callable[[int], str] = "") -> Any:
         """`where` names the values, or those of a row, in the error that one is too large for the type."""
         wide = np.asarray(values, dtype=np.float64)
-        largest = float(jnp.finfo(jnp.result_type(float) if self.dtype is None else self.dtype).max)
+        largest = largest_of(self.dtype)
         too_large = np.isfinite(wide) & (np.abs(wide) > largest)
         if np.any(too_large):
             place = tuple(np.argwhere(too_large)[0].tolist())

@@ -475,11 +475,11 @@ def nodes_equal(a: Any, b: Any) -> bool:
         if isinstance(a, Node) and type(a) is type(b):
             if (id(a), id(b)) not in compared:  # nodes used again are compared once
                 compared.add((id(a), id(b)))
-                waiting += [(getattr(a, field.name), getattr(b, field.name)) for field in dataclasses.fields(a)]  # type: ignore[arg-type]
+                waiting += [(getattr(a, field.name), getattr(b, field.name)) for field in dataclasses.fields(a)]  # type: ignore[arg-type]  # nodes are dataclasses
         elif isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b):
             waiting += zip(a, b, strict=True)
         elif isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
-            if not np.array_equal(a, b):  # type: ignore[arg-type]
+            if not np.array_equal(a, b):  # type: ignore[arg-type]  # arrays by now
                 return False
         elif a != b:
             return False
