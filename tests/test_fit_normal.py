@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.extend.core import jaxprs_in_params
 
 from fit_scenes import PRECISIONS, key_light, material, precision, sphere_picture, sphere_points, sphere_samples
 from jaxlight import Free, SampleBuffer, Scene, View, nodes
@@ -190,6 +191,29 @@ def test_the_gradient_is_the_derivative_of_the_loss() -> None:
             by_reverse = jax.jit(jax.grad(lambda v, p: normal.loss(p, v)))(values, made)
             found = jax.jit(normal.normal_equations)(made, values).gradient
             np.testing.assert_allclose(found, by_reverse, rtol=0, atol=1e-10 * np.abs(by_reverse).max())
+
+
+def test_in_forward_mode_numbers_of_lights_move_as_numbers() -> None:
+    """For sums over samples in reverse mode they are spread over planes [lights, rows, lanes]."""
+    with precision("float64") as dtype:
+        samples = sphere_samples(SIZE, dtype=dtype, tile=256)
+        made, _ = make_problem(scene(dtype), [View(samples, sphere_picture(SIZE))], ["PointLight[*].intensity"])
+        program = jax.make_jaxpr(normal.normal_equations)(made, made.parameters.start)
+    moved = _moved_by_stages(program.jaxpr)
+    directions, lights, lanes = 2, 2, 64
+    assert (directions, lights, 1, lanes) in moved
+    assert (directions, lights, 256 // lanes, lanes) not in moved
+
+
+def _moved_by_stages(jaxpr: Any) -> list[tuple[int, ...]]:
+    """The shapes of what moves in the stages that derivatives are taken of."""
+    shapes = []
+    for equation in jaxpr.eqns:
+        if equation.primitive.name == "linear_stage":
+            shapes += [operand.aval.shape for operand in equation.invars[1 + equation.params["known"] :]]
+        for inner in jaxprs_in_params(equation.params):
+            shapes += _moved_by_stages(inner)
+    return shapes
 
 
 @pytest.mark.parametrize(

@@ -154,7 +154,7 @@ def test_of_two_forms_that_is_evaluated_and_differentiated_that_is_asked_for(inp
         return number * (value if slope is None else slope * plane)
 
     def staged(ordinary: jax.Array, plane: jax.Array, number: jax.Array) -> jax.Array:
-        stage = Stage(number[0, 0] > 0, ordinary)
+        stage = Stage(number[0, 0] > 0, ordinary=ordinary)
         return stage.each(function, plane, number, shared=shared, has_forms=True)
 
     with jax.enable_x64(True):

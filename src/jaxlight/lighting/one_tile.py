@@ -145,7 +145,7 @@ def _tile_color(
 
 def _tile_color_jvp(how: How, primals: Any, tangents: Any) -> tuple[Color, Color]:
     def in_stages(prepared: Prepared, samples: SampleBuffer, texel: Array | None, index: Array) -> Color:
-        stage = Stage(_always(how, samples, index), how.forward)
+        stage = Stage(_always(how, samples, index), forward=how.forward)
         return mapped_axis_first(_color(stage, how, prepared, samples, texel, index, lanes_of(samples)))
 
     (prepared, _, *others), (change, _, *other_changes) = primals, tangents

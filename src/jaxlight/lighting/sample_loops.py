@@ -76,7 +76,7 @@ class SampleLoops(Stage):
         single = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*leaf.shape[:-2], 1, 1), leaf.dtype), shapes)
 
         def of_sample(ordinary: bool, operands: tuple[Any, ...]) -> Any:
-            return stored(function(_Inside(cast(Array, True), ordinary), *operands))
+            return stored(function(_Inside(cast(Array, True), ordinary=ordinary), *operands))
 
         results = jax.eval_shape(partial(of_sample, True), single)
         leaves, tree = jax.tree.flatten(results)

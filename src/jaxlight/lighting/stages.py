@@ -38,11 +38,11 @@ class Stage(eqx.Module):
     """Evaluates functions behind a boundary; `always` is true, but only the running program knows."""
 
     always: Bool[Array, ""]
-    ordinary: Bool[Array, ""] | bool = False
+    ordinary: Bool[Array, ""] | bool = eqx.field(default=False, kw_only=True)
     """Whether functions of which there are two forms are evaluated in that without care (see `ordinary`)."""
     stacks: ClassVar[bool] = True
     """Whether some stages read several components at once."""
-    forward: bool = eqx.field(static=True, default=False)
+    forward: bool = eqx.field(static=True, default=False, kw_only=True)
     """Whether derivatives are only taken in forward mode, where none are summed over samples."""
 
     def __call__(self, function: Callable[..., Any], *operands: Any, name: str = "") -> Any:
