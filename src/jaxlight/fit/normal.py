@@ -86,17 +86,16 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
         parts = parts_of(problem, view, values)
 
         def of_tile(carry: Any, tile: Tile) -> Any:
-            colors, pulls = zip(*(part.color_and_pull(tile) for part in parts), strict=True)
+            colors, slopes_of = zip(*(part.color_and_slope(tile) for part in parts), strict=True)
             residual, pull_both = jax.vjp(tile.residual_of, parts[0].inputs.exposure, colors[0])
             exposure, color = pull_both(heard(residual))
-            slopes = [pull(color) for pull in pulls]
+            slopes = [slope_of(color) for slope_of in slopes_of]
             if parts[0].moving.exposure is not None:
                 slopes[0] = eqx.tree_at(lambda inputs: inputs.exposure, slopes[0], exposure)
             return add_terms(carry, (half_losses(*problem.rho, residual), *jax.tree.leaves(slopes)))
 
-        moving = [part.moving for part in parts]
-        leaves, tree = jax.tree.flatten(moving)
-        zeros = (jnp.zeros(LANES, values.dtype), *map(jnp.zeros_like, leaves))
+        leaves, tree = jax.tree.flatten([part.zeros for part in parts])
+        zeros = (jnp.zeros(LANES, values.dtype), *leaves)
         value, *slopes = added_up(_over_all(problem, view, of_tile, (zeros, jax.tree.map(jnp.zeros_like, zeros))))
         gradients = [part.pull(slope) for part, slope in zip(parts, tree.unflatten(slopes), strict=True)]
         return add(carry, (value, sum(gradients[1:], gradients[0])))

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from ..lighting.one_tile import Color
 from ..lighting.plan import Plan, number_of_lights, plan_of_lights
+from ..lighting.prepared import Prepared, on_all_lanes, on_fewer_lanes
 from ..lighting.stages import Stage
 from ..scene.paths import LIGHT_ATTRIBUTES
 from .columns import Columns, Group, Rows
@@ -35,13 +36,26 @@ class GradientPart(NamedTuple):
     """Of the plan."""
     moving: ViewInputs
     """Those of the inputs that follow from the numbers; None elsewhere."""
-    pull: Callable[[ViewInputs], Float[Array, " parameters"]]
+    pull_moving: Callable[[ViewInputs], Float[Array, " parameters"]]
     """From the gradient by these to that by the numbers."""
 
-    def color_and_pull(self, tile: Tile) -> tuple[Color, Callable[[Color], ViewInputs]]:
-        """The colours of a tile, and from their cotangents those of what moves."""
+    @property
+    def zeros(self) -> ViewInputs:
+        """Of a slope."""
+        return jax.tree.map(jnp.zeros_like, _with_prepared(self.moving, on_fewer_lanes))
+
+    def color_and_slope(self, tile: Tile) -> tuple[Color, Callable[[Color], ViewInputs]]:
+        """The colours of a tile, and from their cotangents the slope: that by what moves, on fewer lanes."""
         color, pull = jax.vjp(lambda moving: tile.color(eqx.combine(moving, self.inputs), self.plan), self.moving)
-        return color, lambda cotangent: pull(cotangent)[0]
+        return color, lambda cotangent: _with_prepared(pull(cotangent)[0], on_fewer_lanes)
+
+    def pull(self, slope: ViewInputs) -> Float[Array, " parameters"]:
+        """From the sum of the slopes of tiles the gradient by the numbers."""
+        return self.pull_moving(_with_prepared(slope, lambda own: on_all_lanes(own, self.moving.prepared)))
+
+
+def _with_prepared(inputs: ViewInputs, of: Callable[[Prepared], Prepared]) -> ViewInputs:
+    return dataclasses.replace(inputs, prepared=of(inputs.prepared))
 
 
 def parts_of(problem: Problem, view: ViewData, values: Float[Array, " parameters"]) -> list[GradientPart]:

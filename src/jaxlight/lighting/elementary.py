@@ -131,6 +131,25 @@ def _steep_reciprocal_jvp(primals, tangents):
 
 
 @jax.custom_jvp
+def reciprocal_in_range(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """1 / x of 2^-60 <= x <= 2^60, where XLA may put it into one loop with what needs it."""
+    if x.dtype != jnp.float32:
+        return 1.0 / x
+    y = _from_bits(0x7EF311C3 - _bits(x), x.dtype)  # to 2^-4
+    error = 1.0 - x * y
+    squared = error * error
+    y = y + y * error
+    y = y + y * squared
+    return y + y * (squared * squared)
+
+
+@reciprocal_in_range.defjvp
+def _reciprocal_in_range_jvp(primals, tangents):
+    inverse = reciprocal_in_range(*primals)
+    return inverse, -(inverse * (inverse * tangents[0]))
+
+
+@jax.custom_jvp
 def ratio(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
     """x / y for y > 0, with derivatives that form no square of y: it may be 1e-37 or 1e37."""
     return x / y

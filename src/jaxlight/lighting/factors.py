@@ -34,16 +34,30 @@ def attenuation(c1: Array, c2: Array, c3: Array, d: Array) -> Array:
 
 @attenuation.defjvp
 def _attenuation_jvp(primals, tangents):
+    factor = attenuation(*primals)
+    return factor, _attenuation_change(factor, primals, tangents)
+
+
+@jax.custom_jvp
+def known_attenuation(factor: Array, c1: Array, c2: Array, c3: Array, d: Array) -> Array:
+    """`attenuation(c1, c2, c3, d)`, which is known to be the first argument, as a function of the others."""
+    return factor
+
+
+@known_attenuation.defjvp
+def _known_attenuation_jvp(primals, tangents):
+    return primals[0], _attenuation_change(primals[0], primals[1:], tangents[1:])
+
+
+def _attenuation_change(factor, primals, tangents):
     (c1, c2, c3, d), (dc1, dc2, dc3, dd) = primals, tangents
-    factor = attenuation(c1, c2, c3, d)
     total = c1 + (c2 + c3 * d) * d
     active = jnp.where(total >= 1, factor, 0.0)
     relative = active * d
     slope = jnp.minimum(c2 + 2.0 * c3 * d, _HUGE[factor.dtype]) * active
     held = jnp.minimum(relative, _ROOT_OF_HUGEST[factor.dtype])
     # Twice times the factor: the square of a far light's underflows, where a step as large would make up for it.
-    change = active * (active * dc1 + relative * dc2 + slope * dd) + held * (held * dc3)
-    return factor, -change
+    return -(active * (active * dc1 + relative * dc2 + slope * dd) + held * (held * dc3))
 
 
 # --- spot -------------------------------------------------------------------------------------------------------------

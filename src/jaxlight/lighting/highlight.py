@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .elementary import exp, exp2_fast, log2_fast, log_of_alignment, ratio, steep_reciprocal
+from .elementary import exp, exp2_fast, log2_fast, log_of_alignment, ratio, reciprocal_in_range, steep_reciprocal
 from .vectors import Vector, cross, dot, half_vector, inverse_length_in_range, inverse_length_unscaled
 
 
@@ -161,7 +161,7 @@ def _power_change(power: Array, x: Array, exponent: Array, dx: Array, d_exponent
     faces = x != AWAY
     near = jnp.where(faces, x, 0.0)
     cosine = jnp.maximum(jnp.where(near <= 0, 1.0 + near, near), 2.0**-60)
-    slope = jnp.minimum(exponent * (power / cosine), _STEEPEST)
+    slope = jnp.minimum(exponent * (power * reciprocal_in_range(cosine)), _STEEPEST)
     change = slope * dx + (power * log_of_alignment(near)) * d_exponent
     return jnp.where(faces, change, 0.0)
 

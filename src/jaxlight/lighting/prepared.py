@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from functools import reduce
 from typing import Any
 
 import equinox as eqx
@@ -77,12 +79,44 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan) -> Prepared:
 
 def on_one_lane(prepared: Prepared) -> Prepared:
     """The same numbers on one lane, to broadcast; without derivatives."""
+    return _with_planes(prepared, lambda plane: lax.stop_gradient(plane[..., :1]))
 
-    def one(numbers: Any) -> Any:
-        return jax.tree.map(lambda plane: lax.stop_gradient(plane[..., :1]), numbers)
 
-    parts = {name: one(getattr(prepared, name)) for name in ("materials", "directional", "point", "spot", "fog")}
-    return dataclasses.replace(prepared, **parts)
+FEWER_LANES = 16
+"""Of whole vectors: to add up derivatives of many lights tile by tile on all lanes is to go through more memory."""
+
+
+def on_fewer_lanes(slope: Prepared) -> Prepared:
+    """Of derivatives by the numbers on all lanes sums over some of the lanes each."""
+
+    def folded(plane: Array) -> Array:
+        lanes = plane.shape[-1]
+        if lanes % FEWER_LANES or lanes == FEWER_LANES:
+            return plane
+        return reduce(jnp.add, [plane[..., first : first + FEWER_LANES] for first in range(0, lanes, FEWER_LANES)])
+
+    return _with_planes(slope, folded)
+
+
+def on_all_lanes(slope: Prepared, prepared: Prepared) -> Prepared:
+    """Derivatives on as many lanes as `prepared` has, whose sums over lanes are those of `slope`."""
+
+    def filled(plane: Array, like: Array) -> Array:
+        return jnp.pad(plane, [(0, 0)] * (plane.ndim - 1) + [(0, like.shape[-1] - plane.shape[-1])])
+
+    return _with_planes(slope, filled, prepared)
+
+
+_ON_LANES = ("materials", "directional", "point", "spot", "fog")
+
+
+def _with_planes(prepared: Prepared, of: Callable[..., Array], *others: Prepared) -> Prepared:
+    """With others for the planes of numbers on all lanes: of these planes, and those of `others`."""
+
+    def part(name: str) -> Any:
+        return jax.tree.map(of, *(getattr(one, name) for one in (prepared, *others)))
+
+    return dataclasses.replace(prepared, **{name: part(name) for name in _ON_LANES})
 
 
 def _ordinary(

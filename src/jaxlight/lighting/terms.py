@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from . import factors
@@ -139,8 +140,9 @@ def received(
         derived=(power,),
         wide=(2, 3, 4),
     )
-    specular_light = None if for_specular is None else _sum_of_colors(lights.color, for_specular)
-    return Received(_sum_of_colors(lights.color, for_diffuse), specular_light)
+    weights = [for_diffuse] if for_specular is None else [for_diffuse, for_specular]
+    diffuse, *specular = _sums_of_colors(stage, lights.color, weights)
+    return Received(diffuse, specular[0] if specular else None)
 
 
 def _ambient(
@@ -281,11 +283,18 @@ def _reaching(stage: Stage, lights: WorldLights, tile: Geometry, aspect: Aspect)
     cone = None if aspect.angle is None else (aspect.angle, lights.beam_width, lights.cut_off_angle)
     if distance is None and cone is None:
         return None
-    return stage.each(_reach, distance, lights.unit_length, lights.attenuation, lights.radius, cone, wide=(2,))
+    known = _known_attenuation if cone is None and lights.attenuation is not None else None
+    operands = (distance, lights.unit_length, lights.attenuation, lights.radius, cone)
+    return stage.each(_reach, *operands, wide=(2,), shared=known)
 
 
 def _distance_in_frame(to_local: Matrix, local_place: Vector, position: Vector) -> Array:
     return unit(local_place - transform(to_local, position))[1]
+
+
+def _known_attenuation(reach: Array, *_: Any) -> Array:
+    """The attenuation from what `_reach` gives without a cone. Beyond the radius that is 0, and so are derivatives."""
+    return reach
 
 
 def _reach(
@@ -294,14 +303,21 @@ def _reach(
     coefficients: tuple[Array, Array, Array] | None,
     radius: Array | None,
     cone: tuple[Array, Array, Array] | None,
+    known: Array | None = None,
 ) -> Array:
+    """`known`: the attenuation, for derivatives."""
     spot = None if cone is None else factors.spot(*cone)
     if distance is None:
         assert spot is not None
         return spot
     if unit_length is not None:
         distance = ratio(distance, unit_length)
-    factor = jnp.ones_like(distance) if coefficients is None else factors.attenuation(*coefficients, distance)
+    if coefficients is None:
+        factor = jnp.ones_like(distance)
+    elif known is None:
+        factor = factors.attenuation(*coefficients, distance)
+    else:
+        factor = factors.known_attenuation(known, *coefficients, distance)
     factor = _times(spot, factor)
     # A sample is lit at d == radius.
     return factor if radius is None else jnp.where(distance <= radius, factor, 0.0)
@@ -311,13 +327,46 @@ def _times(factor: Array | None, value: Array) -> Array:
     return value if factor is None else factor * value
 
 
-def _sum_of_colors(
-    colors: Float[Array, "3 lights 1 lanes"], weights: Float[Array, "lights rows lanes"]
-) -> Float[Array, "3 rows lanes"]:
-    """Sum over lights of color * weight."""
-    if weights.shape[0] == 1:
-        return cast(Array, Inlined(jnp.multiply, (colors[:, 0], weights)))
-    return jnp.sum(colors * weights, axis=1)
+SUMMED = 8
+"""Lights whose colours one loop adds up, if there are more than twice as many: longer sums XLA does not vectorise."""
+
+
+def _sums_of_colors(
+    stage: Stage, colors: Float[Array, "3 lights 1 lanes"], weights: list[Float[Array, "lights rows lanes"]]
+) -> list[Any]:
+    """Of each of the weights the sum over lights of color * weight; planes [3, rows, lanes]."""
+    lights = colors.shape[1]
+    if lights == 1:
+        return [Inlined(jnp.multiply, (colors[:, 0], own)) for own in weights]
+    if lights <= 2 * SUMMED:
+        return _sums(colors, weights)
+    return _sums_in_parts(colors, weights) if stage.forward else _sums_for_reverse(colors, weights)
+
+
+def _sums(colors: Array, weights: list[Array]) -> list[Array]:
+    return [jnp.sum(colors * own, axis=1) for own in weights]
+
+
+def _sums_in_parts(colors: Array, weights: list[Array]) -> list[Array]:
+    full, rest = divmod(colors.shape[1], SUMMED)
+
+    def part(first: Array | int, count: int) -> list[Array]:
+        own = [lax.dynamic_slice_in_dim(plane, first, count) for plane in weights]
+        return _sums(lax.dynamic_slice_in_dim(colors, first, count, axis=1), own)
+
+    def with_part(number: Array, totals: list[Array]) -> list[Array]:
+        return list(map(jnp.add, totals, part(number * SUMMED, SUMMED)))
+
+    return lax.fori_loop(0, full, with_part, part(full * SUMMED, rest))
+
+
+_sums_for_reverse = jax.custom_jvp(_sums_in_parts)
+"""`_sums_in_parts` whose changes are no sums in parts: cotangents would be put together from parts."""
+
+
+@_sums_for_reverse.defjvp
+def _sums_jvp(primals, tangents):
+    return _sums_for_reverse(*primals), jax.jvp(_sums, primals, tangents)[1]
 
 
 def lit(
