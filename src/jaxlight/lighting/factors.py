@@ -87,6 +87,21 @@ def angle_between(a: Vector, b: Vector) -> Array:
 
 @angle_between.defjvp
 def _angle_jvp(primals, tangents):
+    return angle_between(*primals), _angle_change(primals, tangents)
+
+
+@jax.custom_jvp
+def known_angle(angle: Array, a: Vector, b: Vector) -> Array:
+    """`angle_between(a, b)`, which is known to be the first argument, as a function of the others."""
+    return angle
+
+
+@known_angle.defjvp
+def _known_angle_jvp(primals, tangents):
+    return primals[0], _angle_change(primals[1:], tangents[1:])
+
+
+def _angle_change(primals, tangents):
     """d angle = (cos angle * d sin angle - sin angle * d cos angle), with sin angle = |a x b|."""
     (a, b), (da, db) = primals, tangents
     c = _perpendicular(a, b)
@@ -95,7 +110,7 @@ def _angle_jvp(primals, tangents):
     normal = c.scaled(jnp.where(squared > 0, 1.0 / jnp.where(squared > 0, sine, 1.0), 0.0))
     d_cosine = dot(da, b) + dot(a, db)
     d_sine = dot(normal, cross(da, b) + cross(a, db))
-    return angle_between(a, b), jnp.where(squared > 0, dot(a, b) * d_sine - sine * d_cosine, 0.0)
+    return jnp.where(squared > 0, dot(a, b) * d_sine - sine * d_cosine, 0.0)
 
 
 def _perpendicular(a: Vector, b: Vector) -> Vector:

@@ -28,8 +28,9 @@ class Highlight(NamedTuple):
     so l not near -v. Not to be differentiated."""
     slopes: Callable[[Array, Vector, Vector, Vector, bool], Any]
     """From the alignment and what it is taken of what its derivatives by all components share."""
-    known_alignment: Callable[[bool, Any, Vector, Vector, Vector], Array]
-    """`alignment` from whether the tile is ordinary and its `slopes`, with derivatives by n, l and v."""
+    known_alignment: Callable[[bool, Array, Any, Vector, Vector, Vector], Array]
+    """`alignment`, which is known, and told whether the tile is ordinary and its `slopes`, with derivatives by n, l
+    and v."""
     asks_apart: bool
     """Whether it matters if l is near -v."""
     power: Callable[[Array, Array], Array]
@@ -100,7 +101,6 @@ def _half_and_inverse(l: Vector, v: Vector, ordinary: bool) -> tuple[Vector, Arr
 class _AlignedSlopes(NamedTuple):
     """What the derivatives of an alignment by all components of n, l and v share, and is slow to compute."""
 
-    alignment: Array
     inverse: Array
     """1 / |l + v|; 0 where N . H <= 0."""
     share: Array
@@ -110,15 +110,15 @@ class _AlignedSlopes(NamedTuple):
 def _aligned_slopes(alignment: Array, n: Vector, l: Vector, v: Vector, ordinary: bool) -> _AlignedSlopes:
     inverse = jnp.where(alignment == AWAY, 0.0, _half_and_inverse(l, v, ordinary)[1])
     if ordinary:
-        return _AlignedSlopes(alignment, inverse, jnp.zeros_like(inverse))
+        return _AlignedSlopes(inverse, jnp.zeros_like(inverse))
     apart = l - v
     squared = dot(apart, apart)
-    return _AlignedSlopes(alignment, inverse, jnp.where(squared > 3, 1.0 / jnp.maximum(squared, 1.0), 0.0))
+    return _AlignedSlopes(inverse, jnp.where(squared > 3, 1.0 / jnp.maximum(squared, 1.0), 0.0))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _aligned_known(ordinary: bool, slopes: _AlignedSlopes, n: Vector, l: Vector, v: Vector) -> Array:
-    return slopes.alignment
+def _aligned_known(ordinary: bool, alignment: Array, slopes: _AlignedSlopes, n: Vector, l: Vector, v: Vector) -> Array:
+    return alignment
 
 
 @_aligned_known.defjvp
@@ -129,13 +129,13 @@ def _aligned_known_jvp(ordinary, primals, tangents):
     angle between them. Where l and v point apart, dH is put together from its parts along l - v and l x v. The first is
     -H . d(l - v) / |l - v|, as H . (l - v) = 0: it has nothing to do with the large 1 / |l + v|.
     """
-    (slopes, n, l, v), (_, dn, dl, dv) = primals, tangents
+    (alignment, slopes, n, l, v), (_, _, dn, dl, dv) = primals, tangents
     half = l + v if ordinary else half_vector(l, v)
     towards, apart = half.scaled(slopes.inverse), l - v
-    base = n - towards.scaled(jnp.where(slopes.alignment <= 0, 1.0, 0.0))
+    base = n - towards.scaled(jnp.where(alignment <= 0, 1.0, 0.0))
     if ordinary:
         across = base.scaled(slopes.inverse) - towards.scaled(slopes.inverse * dot(base, towards))
-        return slopes.alignment, dot(across, dl + dv) + dot(towards, dn)
+        return alignment, dot(across, dl + dv) + dot(towards, dn)
     side = cross(towards, apart)
     own = jnp.where(slopes.share > 0, 0.0, slopes.inverse)
     across = (
@@ -144,7 +144,7 @@ def _aligned_known_jvp(ordinary, primals, tangents):
         + side.scaled((slopes.share * slopes.inverse) * dot(base, side))
     )
     along = towards.scaled(slopes.share * dot(base, apart))
-    return slopes.alignment, dot(across - along, dl) + dot(across + along, dv) + dot(towards, dn)
+    return alignment, dot(across - along, dl) + dot(across + along, dv) + dot(towards, dn)
 
 
 def _power(alignment: Array, exponent: Array) -> Array:
@@ -180,7 +180,6 @@ def squared_cosine(n: Vector, l: Vector, v: Vector, ordinary: bool = False) -> A
 
 
 class _SquaredSlopes(NamedTuple):
-    squared: Array
     inverse: Array
     """1 / |l + v|^2, 0 where N . H <= 0."""
 
@@ -188,21 +187,21 @@ class _SquaredSlopes(NamedTuple):
 def _squared_slopes(squared: Array, n: Vector, l: Vector, v: Vector, ordinary: bool) -> _SquaredSlopes:
     half = l + v
     faces = squared > 0
-    return _SquaredSlopes(squared, jnp.where(faces, steep_reciprocal(jnp.where(faces, dot(half, half), 1.0)), 0.0))
+    return _SquaredSlopes(jnp.where(faces, steep_reciprocal(jnp.where(faces, dot(half, half), 1.0)), 0.0))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _squared_known(ordinary: bool, slopes: _SquaredSlopes, n: Vector, l: Vector, v: Vector) -> Array:
-    return slopes.squared
+def _squared_known(ordinary: bool, squared: Array, slopes: _SquaredSlopes, n: Vector, l: Vector, v: Vector) -> Array:
+    return squared
 
 
 @_squared_known.defjvp
 def _squared_known_jvp(ordinary, primals, tangents):
-    (slopes, n, l, v), (_, dn, dl, dv) = primals, tangents
+    (squared, slopes, n, l, v), (_, _, dn, dl, dv) = primals, tangents
     half, change = l + v, dl + dv
     cosine = 2.0 * slopes.inverse * dot(n, half)
-    moved = cosine * (dot(dn, half) + dot(n, change)) - (2.0 * slopes.inverse * slopes.squared) * dot(half, change)
-    return slopes.squared, moved
+    moved = cosine * (dot(dn, half) + dot(n, change)) - (2.0 * slopes.inverse * squared) * dot(half, change)
+    return squared, moved
 
 
 def _power_of_squared(squared: Array, exponent: Array) -> Array:

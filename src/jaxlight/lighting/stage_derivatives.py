@@ -79,8 +79,8 @@ def _change(how: How, stage: Boundary, operands: Any, derived: Any, results: Any
     """The change of the results by those planes of the operands that move."""
     inside = how.shared_forms
     if how.forward and inside is not None:
-        # Many directions share it.
-        derived, inside = (*derived, stage.of_forms(inside, results, *operands, *derived)), None
+        # Many directions share it. Each plane is a stage of its own: some directions ask for none.
+        derived, inside = (*derived, _each_by_itself(stage, inside, (results, *operands, *derived))), None
     shape = jnp.broadcast_shapes(*(result.shape for result in jax.tree.leaves(results)))
     is_wide = [position in how.wide for position, own in enumerate(operands) for _ in jax.tree.leaves(stored(own))]
     pairs = list(zip(_planes(operands), _planes(changes), strict=True))
@@ -105,6 +105,18 @@ def _change(how: How, stage: Boundary, operands: Any, derived: Any, results: Any
 
     changes_of = [partial(change, form) for form in range(len(how.forms))]
     return linear_stage(how.which(stage), changes_of, (operands, derived, results if inside else None), directions)
+
+
+def _each_by_itself(stage: Boundary, forms: Forms, operands: tuple[Any, ...]) -> Any:
+    shapes, tree = jax.tree.flatten(jax.eval_shape(lambda: forms[0](*stored(operands))))
+
+    def plane(number: int, form: Callable[..., Any], *operands: Any) -> Array:
+        return jax.tree.leaves(form(*operands))[number]
+
+    planes = [
+        stage.of_forms([partial(plane, number, form) for form in forms], *operands) for number in range(len(shapes))
+    ]
+    return tree.unflatten(planes)
 
 
 def _planes(operands: Any) -> list[Any]:

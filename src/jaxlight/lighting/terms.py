@@ -122,60 +122,72 @@ def received(
 
     `highlight` None: no specular term.
     """
-    aspect = _aspect(stage, lights, tile, highlight)
-    reaching = _reaching(stage, lights, tile, aspect)
+    asked = Asked(highlight, specular_gate, lights.asks_distance and lights.to_local is None, stage.forward)
+    to_viewer = None if highlight is None else tile.to_viewer
+    sight = Sight(lights.towards, lights.place, tile.position, tile.normal, to_viewer, lights.axis)
+    limits = Limits(lights.unit_length, lights.attenuation, lights.radius, lights.cone)
+    framed = None
+    if lights.asks_distance and lights.to_local is not None:
+        framed = stage.each(_distance_in_frame, lights.to_local, lights.local_place, tile.position)
     ambient = None if lights.ambient is None else stage.each(_ambient, lights.ambient, material.ambient_intensity)
-    exponent = power = None
-    if highlight is not None and aspect.alignment is not None:
-        # A plane for every light: derivatives are then added up light by light, and only those sums over lights.
-        exponent = stage.each(partial(_exponents, lights.count), material.shininess)
-        power = stage.each(highlight.power, aspect.alignment, exponent)
+    # A plane for every light: derivatives are then added up light by light, and only those sums over lights.
+    exponent = None if highlight is None else stage.each(partial(_exponents, lights.count), material.shininess)
+    strength = Strength(lights.intensity, ambient, exponent)
     for_diffuse, for_specular = stage.each(
-        partial(_weights, highlight, specular_gate),
-        reaching,
-        (aspect.facing, aspect.alignment),
-        lights.intensity,
-        ambient,
-        exponent,
-        derived=(power,),
-        wide=(2, 3, 4),
+        partial(_weights, asked),
+        sight,
+        limits,
+        framed,
+        strength,
+        derived=(_factors(stage, asked, sight, limits, framed, strength),),
+        wide=(0, 1, 3),
+        shared=partial(_slopes_of_weights, asked),
+        has_forms=True,
     )
     weights = [for_diffuse] if for_specular is None else [for_diffuse, for_specular]
     diffuse, *specular = _sums_of_colors(stage, lights.color, weights)
     return Received(diffuse, specular[0] if specular else None)
 
 
-def _ambient(
-    light: Float[Array, "lights 1 lanes"], material: Float[Array, "1 lanes"]
-) -> Float[Array, "lights 1 lanes"]:
-    return light * material
+class Asked(NamedTuple):
+    """What is static of the light of some lights."""
+
+    highlight: Highlight | None
+    specular_gate: bool
+    distance: bool
+    """Whether the distance in the world matters."""
+    forward: bool
+    """Whether derivatives are only taken in forward mode."""
 
 
-def _exponents(lights: int, shininess: Float[Array, "1 lanes"]) -> Float[Array, "lights 1 lanes"]:
-    return jnp.broadcast_to(128.0 * shininess, (lights, *shininess.shape))
+class Sight(NamedTuple):
+    """What decides how samples see lights."""
+
+    towards: Vector | None
+    place: Vector | None
+    position: Vector
+    normal: Vector
+    to_viewer: Vector | None
+    """None: no highlights."""
+    axis: Vector | None
 
 
-def _weights(
-    highlight: Highlight | None,
-    specular_gate: bool,
-    reaching: Array | None,
-    seen: tuple[Array, Array | None],
-    intensity: Array,
-    ambient: Array | None,
-    exponent: Array | None,
-    power: Array | None,
-) -> tuple[Array, Array | None]:
-    """attenuation * spot * (ambient + diffuse) and attenuation * spot * specular, without colours.
+class Limits(NamedTuple):
+    """What decides how far and where lights reach."""
 
-    `power`: the highlight, (N . H)^exponent.
-    """
-    facing, alignment = seen
-    diffuse = intensity * factors.positive_part(facing)
-    diffuse = _times(reaching, diffuse if ambient is None else diffuse + ambient)
-    if highlight is None or power is None or exponent is None or alignment is None:
-        return diffuse, None
-    specular = _times(reaching, intensity * highlight.known_power(power, alignment, exponent))
-    return diffuse, jnp.where(facing > 0, specular, 0.0) if specular_gate else specular
+    unit_length: Array | None
+    attenuation: tuple[Array, Array, Array] | None
+    radius: Array | None
+    cone: tuple[Array, Array] | None
+    """Beam width and cut-off angle."""
+
+
+class Strength(NamedTuple):
+    """What of lights and materials weights are made of; planes [lights, 1, lanes]."""
+
+    intensity: Array
+    ambient: Array | None
+    exponent: Array | None
 
 
 class Aspect(NamedTuple):
@@ -191,136 +203,180 @@ class Aspect(NamedTuple):
     """Between -L and the axis of a spotlight; None: no cone."""
 
 
-def _aspect(stage: Stage, lights: WorldLights, tile: Geometry, highlight: Highlight | None) -> Aspect:
-    """How a tile sees lights.
+class Factors(NamedTuple):
+    """What weights are the product of; planes [lights, rows, lanes]."""
 
-    The vectors to the lights are never stored: three planes cost more to keep than to compute anew from 1 / d_L.
-    """
-    place, position, inverse = lights.place, tile.position, None
-    if place is not None:
-        inverse = stage.each(_inverse_distance, place, position, has_forms=True)
-    return stage.each(
-        partial(_seen, highlight, lights.asks_distance and lights.to_local is None),
-        lights.towards,
-        place,
-        position,
-        tile.normal,
-        None if highlight is None else tile.to_viewer,
-        lights.axis,
-        derived=(inverse,),
-        wide=(0, 1, 2, 3, 4, 5),
-        shared=None if highlight is None else partial(_slopes, highlight),
-        has_forms=True,
+    inverse: Array | None
+    """1 / d_L; None: no place."""
+    aspect: Aspect
+    reach: Array | None
+    """attenuation * spot * (within the radius); None: 1."""
+    power: Array | None
+    """The highlight, (N . H)^exponent."""
+
+
+def _ambient(
+    light: Float[Array, "lights 1 lanes"], material: Float[Array, "1 lanes"]
+) -> Float[Array, "lights 1 lanes"]:
+    return light * material
+
+
+def _exponents(lights: int, shininess: Float[Array, "1 lanes"]) -> Float[Array, "lights 1 lanes"]:
+    return jnp.broadcast_to(128.0 * shininess, (lights, *shininess.shape))
+
+
+def _factors(
+    stage: Stage, asked: Asked, sight: Sight, limits: Limits, framed: Array | None, strength: Strength
+) -> Factors:
+    """The factors, in stages. The vectors to the lights are never stored: three planes cost more to keep than to
+    compute anew from 1 / d_L."""
+    inverse = reach = power = None
+    if sight.place is not None:
+        inverse = stage.each(_inverse_distance, sight.place, sight.position, has_forms=True)
+    aspect = stage.each(
+        partial(_seen, asked), sight, derived=(inverse,), wide=(0,), shared=partial(_known, asked), has_forms=True
     )
+    distance = aspect.distance if framed is None else framed
+    if distance is not None or limits.cone is not None:
+        reach = stage.each(_reach, distance, aspect.angle, limits, wide=(2,))
+    if asked.highlight is not None:
+        power = stage.each(asked.highlight.power, aspect.alignment, strength.exponent)
+    return Factors(inverse, aspect, reach, power)
 
 
-def _light_vector(
-    towards: Vector | None, place: Vector | None, position: Vector, inverse: Array | None, ordinary: bool
-) -> tuple[Vector, Array | None]:
-    """L, and d_L for lights that have a place."""
-    if place is None:
-        assert towards is not None
-        return towards, None
-    assert inverse is not None
-    return normalised(place - position, inverse, ordinary)
-
-
-def _seen(
-    highlight: Highlight | None,
-    asks_distance: bool,
-    towards: Vector | None,
-    place: Vector | None,
-    position: Vector,
-    normal: Vector,
-    to_viewer: Vector | None,
-    axis: Vector | None,
-    inverse: Array | None,
+def _weights(
+    asked: Asked,
+    sight: Sight,
+    limits: Limits,
+    framed: Array | None,
+    strength: Strength,
+    known: Factors,
     slopes: Any = None,
     *,
     ordinary: bool,
-) -> Aspect:
-    """`inverse`: 1 / d_L; `slopes`: what `_slopes` gives, for derivatives."""
-    l, distance = _light_vector(towards, place, position, inverse, ordinary)
-    alignment = None
-    if highlight is not None and to_viewer is not None:
-        seen = (normal, l, to_viewer)
-        if slopes is None:
-            alignment = highlight.alignment(*seen, ordinary)
-        else:
-            alignment = highlight.known_alignment(ordinary, slopes, *seen)
-    return Aspect(
-        facing=dot(normal, l),
-        alignment=alignment,
-        distance=distance if asks_distance else None,
-        angle=None if axis is None else factors.angle_between(-l, axis),
-    )
+) -> tuple[Array, Array | None]:
+    """attenuation * spot * (ambient + diffuse) and attenuation * spot * specular, without colours.
+
+    The factors are known. For derivatives, that is with `slopes`, they are functions of what they follow from: those of
+    a light come from one loop.
+    """
+    aspect, reach = known.aspect, known.reach
+    if slopes is not None:
+        aspect = _seen(
+            asked, sight, known.inverse, KnownAspect(aspect.alignment, aspect.angle, slopes), ordinary=ordinary
+        )
+        if asked.forward:  # more is read then, for all directions, and less computed for each
+            aspect = jax.tree.map(_as_known, known.aspect, aspect)
+        if reach is not None:
+            reach = _reach(aspect.distance if framed is None else framed, aspect.angle, limits, reach)
+    diffuse = strength.intensity * factors.positive_part(aspect.facing)
+    diffuse = _times(reach, diffuse if strength.ambient is None else diffuse + strength.ambient)
+    if asked.highlight is None or known.power is None:
+        return diffuse, None
+    power = asked.highlight.known_power(known.power, aspect.alignment, strength.exponent)  # type: ignore[arg-type]  # there are highlights
+    specular = _times(reach, strength.intensity * power)
+    return diffuse, jnp.where(aspect.facing > 0, specular, 0.0) if asked.specular_gate else specular
 
 
-def _slopes(
-    highlight: Highlight,
-    aspect: Aspect,
-    towards: Vector | None,
-    place: Vector | None,
-    position: Vector,
-    normal: Vector,
-    to_viewer: Vector | None,
-    axis: Vector | None,
-    inverse: Array | None,
+def _slopes_of_weights(
+    asked: Asked,
+    weights: Any,
+    sight: Sight,
+    limits: Limits,
+    framed: Array | None,
+    strength: Strength,
+    known: Factors,
     *,
     ordinary: bool,
 ) -> Any:
-    """`Highlight.slopes` of what `_seen` gives."""
-    l, _ = _light_vector(towards, place, position, inverse, ordinary)
-    assert to_viewer is not None and aspect.alignment is not None
-    return highlight.slopes(aspect.alignment, normal, l, to_viewer, ordinary)
+    return _slopes(asked, known.aspect, sight, known.inverse, ordinary)
 
 
-def _reaching(stage: Stage, lights: WorldLights, tile: Geometry, aspect: Aspect) -> Array | None:
-    """attenuation * spot * (within the radius); None: 1."""
-    distance = aspect.distance
-    if lights.asks_distance and lights.to_local is not None:
-        distance = stage.each(_distance_in_frame, lights.to_local, lights.local_place, tile.position)
-    cone = None if aspect.angle is None else (aspect.angle, lights.beam_width, lights.cut_off_angle)
-    if distance is None and cone is None:
-        return None
-    known = _known_attenuation if cone is None and lights.attenuation is not None else None
-    operands = (distance, lights.unit_length, lights.attenuation, lights.radius, cone)
-    return stage.each(_reach, *operands, wide=(2,), shared=known)
+@jax.custom_jvp
+def _as_known(value: Array, same: Array) -> Array:
+    """The value, which is known, with the derivatives of what gives the same."""
+    return value
+
+
+@_as_known.defjvp
+def _as_known_jvp(primals, tangents):
+    return primals[0], tangents[1]
+
+
+class KnownAspect(NamedTuple):
+    """What is known of an aspect when derivatives are taken."""
+
+    alignment: Array | None
+    angle: Array | None
+    slopes: Any
+    """`Highlight.slopes`; (): no highlights."""
+
+
+def _known(asked: Asked, aspect: Aspect, sight: Sight, inverse: Array | None, *, ordinary: bool) -> KnownAspect:
+    return KnownAspect(aspect.alignment, aspect.angle, _slopes(asked, aspect, sight, inverse, ordinary))
+
+
+def _slopes(asked: Asked, aspect: Aspect, sight: Sight, inverse: Array | None, ordinary: bool) -> Any:
+    if asked.highlight is None or aspect.alignment is None or sight.to_viewer is None:
+        return ()
+    l, _ = _light_vector(sight, inverse, ordinary)
+    return asked.highlight.slopes(aspect.alignment, sight.normal, l, sight.to_viewer, ordinary)
+
+
+def _light_vector(sight: Sight, inverse: Array | None, ordinary: bool) -> tuple[Vector, Array | None]:
+    """L, and d_L for lights that have a place."""
+    if sight.place is None or inverse is None:
+        assert sight.towards is not None
+        return sight.towards, None
+    return normalised(sight.place - sight.position, inverse, ordinary)
+
+
+def _seen(
+    asked: Asked, sight: Sight, inverse: Array | None, known: KnownAspect | None = None, *, ordinary: bool
+) -> Aspect:
+    """`inverse`: 1 / d_L; `known`: for derivatives."""
+    l, distance = _light_vector(sight, inverse, ordinary)
+    alignment = angle = None
+    if asked.highlight is not None and sight.to_viewer is not None:
+        seen = (sight.normal, l, sight.to_viewer)
+        if known is None or known.alignment is None:
+            alignment = asked.highlight.alignment(*seen, ordinary)
+        else:
+            alignment = asked.highlight.known_alignment(ordinary, known.alignment, known.slopes, *seen)
+    if sight.axis is not None:
+        if known is None or known.angle is None:
+            angle = factors.angle_between(-l, sight.axis)
+        else:
+            angle = factors.known_angle(known.angle, -l, sight.axis)
+    return Aspect(dot(sight.normal, l), alignment, distance if asked.distance else None, angle)
 
 
 def _distance_in_frame(to_local: Matrix, local_place: Vector, position: Vector) -> Array:
     return unit(local_place - transform(to_local, position))[1]
 
 
-def _known_attenuation(reach: Array, *_: Any) -> Array:
-    """The attenuation from what `_reach` gives without a cone. Beyond the radius that is 0, and so are derivatives."""
-    return reach
+def _reach(distance: Array | None, angle: Array | None, limits: Limits, known: Array | None = None) -> Array:
+    """attenuation * spot * (within the radius).
 
-
-def _reach(
-    distance: Array | None,
-    unit_length: Array | None,
-    coefficients: tuple[Array, Array, Array] | None,
-    radius: Array | None,
-    cone: tuple[Array, Array, Array] | None,
-    known: Array | None = None,
-) -> Array:
-    """`known`: the attenuation, for derivatives."""
-    spot = None if cone is None else factors.spot(*cone)
+    Args:
+        known: what this gives, for derivatives. Without a cone that is the attenuation, or 0 beyond the radius, where
+            derivatives are 0 too.
+    """
+    spot = None if limits.cone is None or angle is None else factors.spot(angle, *limits.cone)
     if distance is None:
         assert spot is not None
         return spot
-    if unit_length is not None:
-        distance = ratio(distance, unit_length)
-    if coefficients is None:
+    if limits.unit_length is not None:
+        distance = ratio(distance, limits.unit_length)
+    if limits.attenuation is None:
         factor = jnp.ones_like(distance)
-    elif known is None:
-        factor = factors.attenuation(*coefficients, distance)
+    elif known is None or spot is not None:
+        factor = factors.attenuation(*limits.attenuation, distance)
     else:
-        factor = factors.known_attenuation(known, *coefficients, distance)
+        factor = factors.known_attenuation(known, *limits.attenuation, distance)
     factor = _times(spot, factor)
     # A sample is lit at d == radius.
-    return factor if radius is None else jnp.where(distance <= radius, factor, 0.0)
+    return factor if limits.radius is None else jnp.where(distance <= limits.radius, factor, 0.0)
 
 
 def _times(factor: Array | None, value: Array) -> Array:

@@ -55,6 +55,11 @@ class WorldLights(eqx.Module):
         return self.color.shape[1]
 
     @property
+    def cone(self) -> tuple[Array, Array] | None:
+        """Beam width and cut-off angle of spot lights; None: no cone."""
+        return None if self.beam_width is None or self.cut_off_angle is None else (self.beam_width, self.cut_off_angle)
+
+    @property
     def asks_distance(self) -> bool:
         """Whether d_L matters, and not only the direction."""
         return self.attenuation is not None or self.radius is not None
