@@ -26,7 +26,8 @@ from .settings import Settings
 from .worker import pin
 from .workload import Workload, make_arrays
 
-_INSTRUCTION = re.compile(r'^\s*(?:ROOT )?%?([\w.\-]+) = [^\n]*op_name="([^"]*)"', re.MULTILINE)
+_INSTRUCTION = re.compile(r'^\s*(?:ROOT )?%?([\w.\-]+) = (?:[^\n]*op_name="([^"]*)")?', re.MULTILINE)
+"""Its name, and the operation that it comes from; what XLA puts in by itself has none."""
 _SHOWN = 0.01
 """Smaller shares are added up."""
 
@@ -73,7 +74,7 @@ def stage_shares(
     call, program = contender.compiled(operation)
     for _ in range(rounds):
         call()
-    names = dict(_INSTRUCTION.findall(program))
+    names = operations(program)
     durations = _durations(call, rounds, names)
     times: dict[str, float] = collections.defaultdict(float)
     loops: dict[str, int] = collections.defaultdict(int)
@@ -83,6 +84,11 @@ def stage_shares(
         loops[_stage(names[instruction])] += 1
     total = sum(times.values())
     return {name: (time / total, loops[name]) for name, time in times.items()}, 1e3 * total / work.light_samples
+
+
+def operations(program: str) -> Mapping[str, str]:
+    """Of every instruction of a compiled program the operation that it comes from, or else what XLA calls it."""
+    return {name: operation or name.split(".")[0] for name, operation in _INSTRUCTION.findall(program)}
 
 
 def _durations(call: Callable[[], Any], rounds: int, instructions: Collection[str]) -> Mapping[str, list[float]]:

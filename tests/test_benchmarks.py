@@ -17,7 +17,7 @@ from benchmarks.entrants import PEERS, Entrant
 from benchmarks.errors import color_errors, gradient_errors
 from benchmarks.fits import ENTRANTS as FITS
 from benchmarks.harness import Case, Plan, measure
-from benchmarks.profile import stage_shares
+from benchmarks.profile import operations, stage_shares
 from benchmarks.reference import answer
 from benchmarks.workload import Arrays, Workload, make_arrays
 
@@ -198,12 +198,22 @@ def test_fits_start_away_from_the_truth_and_are_judged_by_it() -> None:
     assert {entrant.label for entrant, _ in FITS} >= {"jaxlight", "optimistix LM, naive JAX"}
 
 
+def test_a_profile_leaves_out_no_instruction() -> None:
+    """Long sums XLA divides, and puts in instructions that come from no operation of the program."""
+    program = """
+  %wrapped_reduce-window.2 = f32[3,2]{1,0} fusion(%plane, %zero), kind=kLoop, metadata={stack_frame_id=2}
+  ROOT %total.1 = f32[3]{0} fusion(%a, %b), kind=kLoop, metadata={op_name="jit(f)/stage.seen/reduce_sum"}
+"""
+    found = {"wrapped_reduce-window.2": "wrapped_reduce-window", "total.1": "jit(f)/stage.seen/reduce_sum"}
+    assert operations(program) == found
+
+
 @pytest.mark.parametrize(
     ("lights", "operation", "names"),
     [
         (1, "forward", ["colors"]),
         (9, "forward", ["directions", "received|no stage: while", "mixed"]),
-        (1, "value_and_gradient", ["seen", "power", "colored", "seen.change (reverse)"]),
+        (1, "value_and_gradient", ["seen", "power", "colored", "weights.change (reverse)"]),
     ],
 )
 def test_a_profile_tells_loops_and_stages_apart(lights: int, operation: Operation, names: list[str]) -> None:

@@ -56,6 +56,13 @@ def test_the_reciprocal_root() -> None:
     assert np.max(ulps(jax.jit(elementary.reciprocal_root)(x), 1 / np.sqrt(x.astype(np.float64)))) < 1.5
 
 
+def test_the_reciprocal() -> None:
+    x = np.exp2(np.linspace(-60, 60, 2_000_003)).astype(np.float32)
+    assert np.max(ulps(jax.jit(elementary.reciprocal_in_range)(x), 1 / x.astype(np.float64))) < 2
+    slope = jax.jit(jax.vmap(jax.grad(elementary.reciprocal_in_range)))(x[::1000])
+    np.testing.assert_allclose(slope, -1 / x[::1000].astype(np.float64) ** 2, rtol=1e-6)
+
+
 def test_the_fast_power_of_two_and_logarithm() -> None:
     x = -drawn(-6, 2)
     power = np.asarray(jax.jit(elementary.exp2_fast)(x), np.float64)

@@ -3,7 +3,7 @@
 XLA's CPU backend calls scalar library routines for pow, atan2 and rsqrt. In float32 the exponential, logarithm and
 arctangent here are minimax polynomials after an exact reduction by bits; in float64 exp and log are XLA's own.
 Errors, float32: `exp` 1 ulp + 1 ulp * |x|, `log_of_alignment` 1.5 ulp, `arctangent` 2 ulp,
-`reciprocal_root` 1.5 ulp.
+`reciprocal_root` 1.5 ulp, `reciprocal_in_range` 2 ulp.
 """
 
 from __future__ import annotations

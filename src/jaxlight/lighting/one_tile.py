@@ -21,6 +21,7 @@ from ..raster.samples import SampleBuffer
 from ..scene import Surface
 from .changes import with_change
 from .culling import Extent, received_from_near
+from .geometry import Geometry, Unread, directions
 from .highlight import highlight_of
 from .mapped import mapped_axis_first
 from .ordinary import for_all_mapped
@@ -29,7 +30,7 @@ from .prepared import Prepared, compute_dtype, lanes_of, material_row, on_one_la
 from .sample_loops import UNROLLED, SampleLoops, SideBySide
 from .stages import Stage
 from .surface import MaterialRow, alpha, base_color, sampled_texture
-from .terms import Geometry, Haze, Received, Unread, directions, fogged, haze, lit, received
+from .terms import Haze, Received, fogged, haze, lit, received
 from .unstored import Inlined, stored
 from .vectors import Vector
 from .world import WorldFog, WorldLights, in_chunks

@@ -8,93 +8,23 @@ Planes of samples are [rows, lanes], planes of lights and samples [lights, rows,
 
 from __future__ import annotations
 
-import operator
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
 from . import factors
+from .color_sums import sums_of_colors
 from .elementary import ratio
+from .geometry import Geometry, inverse_distance
 from .highlight import Highlight
 from .stages import Stage
 from .surface import MaterialRow
-from .unstored import Inlined, stored
-from .vectors import (
-    Matrix,
-    Vector,
-    dot,
-    inverse_length,
-    inverse_length_in_range,
-    normalised,
-    transform,
-    unit,
-    unit_planes,
-)
+from .unstored import stored
+from .vectors import Matrix, Vector, dot, normalised, transform, unit
 from .world import WorldFog, WorldLights
-
-
-class Geometry(NamedTuple):
-    """What a tile of samples knows of itself and the viewer; planes [rows, lanes]."""
-
-    position: Vector
-    eye: Vector
-    """The viewer's position, [1, 1] each."""
-    normal: Vector
-    """Unit normal."""
-    to_viewer: Vector
-    """Unit vector to the viewer."""
-    distance: Array
-    """Distance to the viewer."""
-
-
-class Unread(NamedTuple):
-    """Vectors or colours of samples where they lie in memory, in the two forms that XLA reads at full speed."""
-
-    components: tuple[Array, ...]
-    """For loops over samples."""
-    planes: Float[Array, "components rows lanes"] | None
-    """For loops over samples and components; None: not read in such loops."""
-
-    @property
-    def vector(self) -> Vector:
-        """Three components."""
-        return Vector(*self.components)
-
-    def stacked(self) -> Float[Array, "components rows lanes"]:
-        """All components in one."""
-        return jnp.stack(self.components) if self.planes is None else self.planes
-
-
-def directions(
-    stage: Stage, position: Unread, normal: Unread, eye: Float[Array, "3 1 1"]
-) -> tuple[Vector, Vector, Array]:
-    """The unit normal, the unit vector to the viewer, and the distance to it."""
-    viewer = _components(eye)
-    inverse = stage.each(_inverse_distance, viewer, position.vector, has_forms=True)
-    to_viewer = stage.each(_directions, eye, position.stacked(), derived=(inverse,))
-    distance = stage.each(_distance, viewer, position.vector, derived=(inverse,), has_forms=True)
-    unit_normal = stage.each(unit_planes, normal.stacked(), derived=(stage.each(inverse_length, normal.vector),))
-    return _components(unit_normal), _components(to_viewer), distance
-
-
-def _inverse_distance(end: Vector, start: Vector, *, ordinary: bool) -> Array:
-    return (inverse_length_in_range if ordinary else inverse_length)(end - start)
-
-
-def _components(planes: Float[Array, "3 ..."]) -> Vector:
-    return Vector(*(cast(Array, Inlined(operator.itemgetter(i), (planes,))) for i in range(3)))
-
-
-def _directions(end: Array, start: Array, inverse: Array) -> Array:
-    return unit_planes(end - start, inverse)
-
-
-def _distance(end: Vector, start: Vector, inverse: Array, *, ordinary: bool) -> Array:
-    return normalised(end - start, inverse, ordinary)[1]
 
 
 class Received(NamedTuple):
@@ -145,7 +75,7 @@ def received(
         has_forms=True,
     )
     weights = [for_diffuse] if for_specular is None else [for_diffuse, for_specular]
-    diffuse, *specular = _sums_of_colors(stage, lights.color, weights)
+    diffuse, *specular = sums_of_colors(stage, lights.color, weights)
     return Received(diffuse, specular[0] if specular else None)
 
 
@@ -232,7 +162,7 @@ def _factors(
     compute anew from 1 / d_L."""
     inverse = reach = power = None
     if sight.place is not None:
-        inverse = stage.each(_inverse_distance, sight.place, sight.position, has_forms=True)
+        inverse = stage.each(inverse_distance, sight.place, sight.position, has_forms=True)
     aspect = stage.each(
         partial(_seen, asked), sight, derived=(inverse,), wide=(0,), shared=partial(_known, asked), has_forms=True
     )
@@ -381,48 +311,6 @@ def _reach(distance: Array | None, angle: Array | None, limits: Limits, known: A
 
 def _times(factor: Array | None, value: Array) -> Array:
     return value if factor is None else factor * value
-
-
-SUMMED = 8
-"""Lights whose colours one loop adds up, if there are more than twice as many: longer sums XLA does not vectorise."""
-
-
-def _sums_of_colors(
-    stage: Stage, colors: Float[Array, "3 lights 1 lanes"], weights: list[Float[Array, "lights rows lanes"]]
-) -> list[Any]:
-    """Of each of the weights the sum over lights of color * weight; planes [3, rows, lanes]."""
-    lights = colors.shape[1]
-    if lights == 1:
-        return [Inlined(jnp.multiply, (colors[:, 0], own)) for own in weights]
-    if lights <= 2 * SUMMED:
-        return _sums(colors, weights)
-    return _sums_in_parts(colors, weights) if stage.forward else _sums_for_reverse(colors, weights)
-
-
-def _sums(colors: Array, weights: list[Array]) -> list[Array]:
-    return [jnp.sum(colors * own, axis=1) for own in weights]
-
-
-def _sums_in_parts(colors: Array, weights: list[Array]) -> list[Array]:
-    full, rest = divmod(colors.shape[1], SUMMED)
-
-    def part(first: Array | int, count: int) -> list[Array]:
-        own = [lax.dynamic_slice_in_dim(plane, first, count) for plane in weights]
-        return _sums(lax.dynamic_slice_in_dim(colors, first, count, axis=1), own)
-
-    def with_part(number: Array, totals: list[Array]) -> list[Array]:
-        return list(map(jnp.add, totals, part(number * SUMMED, SUMMED)))
-
-    return lax.fori_loop(0, full, with_part, part(full * SUMMED, rest))
-
-
-_sums_for_reverse = jax.custom_jvp(_sums_in_parts)
-"""`_sums_in_parts` whose changes are no sums in parts: cotangents would be put together from parts."""
-
-
-@_sums_for_reverse.defjvp
-def _sums_jvp(primals, tangents):
-    return _sums_for_reverse(*primals), jax.jvp(_sums, primals, tangents)[1]
 
 
 def lit(
