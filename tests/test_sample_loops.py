@@ -197,7 +197,8 @@ def test_all_blocks_of_all_surfaces_under_few_lights_are_one_loop(bits: str, by_
 
 
 def test_gradients_by_places_of_lights_are_one_loop(samples: SampleBuffer) -> None:
-    """Of three results: the derivatives of how samples see a light by the three components of its place.
+    """Of four results: the derivatives of what a light gives by the three components of its place and by its distance,
+    which is measured in another frame.
 
     One such loop for ordinary tiles, and one for the others.
     """
@@ -212,8 +213,8 @@ def test_gradients_by_places_of_lights_are_one_loop(samples: SampleBuffer) -> No
     gradient = jax.jit(jax.grad(total))
     program = gradient.lower(scene.point.location).compile().as_text()
     assert program is not None
-    loops = re.findall(r"\((f32\[2,.*)\) reduce\(.*stage\.seen\.change", program)
-    assert [loop.count("f32[2,") for loop in loops] == [3, 3], loops
+    loops = re.findall(r"\((f32\[2,.*)\) reduce\(.*stage\.weights\.change", program)
+    assert [loop.count("f32[2,") for loop in loops] == [4, 4], loops
 
 
 @pytest.mark.parametrize(("radius", "culled"), [(0.5, True), (3.5, False)])

@@ -124,8 +124,10 @@ class _Inside(Stage):
         function: Callable[..., Any],
         *operands: Any,
         derived: tuple[Any, ...] = (),
+        derive: Callable[..., tuple[Any, ...]] | None = None,
         has_forms: bool = False,
         **for_derivatives: Any,
     ) -> Any:
         form = partial(function, ordinary=self.ordinary) if has_forms else function
+        derived = derived if derive is None else derive(self, *operands)
         return form(*stored(operands), *stored(derived))

@@ -40,6 +40,7 @@ class How(NamedTuple):
     shared: Callable[..., Any] | None
     has_forms: bool
     forward: bool
+    derive: Callable[..., tuple[Any, ...]] | None
 
     @property
     def forms(self) -> Forms:
@@ -62,11 +63,15 @@ class How(NamedTuple):
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def each(how: How, stage: Boundary, operands: tuple[Any, ...], derived: tuple[Any, ...]) -> Any:
     """`Stage.each`."""
+    if how.derive is not None:
+        derived = how.derive(stage, *operands)
     return stage.of_forms(how.forms, *operands, *derived)
 
 
 def _each_jvp(how: How, primals: Any, tangents: Any) -> Any:
     (stage, operands, derived), (_, changes, _) = primals, tangents
+    if how.derive is not None:  # here, where nothing moves: its change is counted with that of the operands
+        derived, how = how.derive(stage, *operands), how._replace(derive=None)
     results = each(how, stage, operands, derived)
     if not moves(changes):
         return results, jax.tree.map(jnp.zeros_like, results)

@@ -113,6 +113,7 @@ class Stage(eqx.Module):
         function: Callable[..., Any],
         *operands: Any,
         derived: tuple[Any, ...] = (),
+        derive: Callable[..., tuple[Any, ...]] | None = None,
         wide: tuple[int, ...] = (),
         shared: Callable[..., Any] | None = None,
         has_forms: bool = False,
@@ -125,13 +126,14 @@ class Stage(eqx.Module):
             function: closes over no traced value.
             operands: pytrees of planes, some of them `Inlined`.
             derived: what follows from the operands, and whose change `function` already counts with theirs.
+            derive: derive(self, *operands) gives `derived`, in stages of its own.
             wide: positions of smaller operands whose derivatives are planes too, which are summed over samples
                 afterwards. XLA vectorises a sum only if what it adds up is a short expression.
             shared: shared(results, *operands, *derived) gives planes for derivatives, to which `function` is given
                 them as one more of `derived`.
             has_forms: function and what is shared take a keyword `ordinary`: there are two forms of them.
         """
-        how = How(function, () if self.forward else wide, shared, has_forms, self.forward)
+        how = How(function, () if self.forward else wide, shared, has_forms, self.forward, derive)
         return each(how, self, operands, derived)
 
 

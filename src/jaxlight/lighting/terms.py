@@ -69,7 +69,7 @@ def received(
         limits,
         framed,
         strength,
-        derived=(_factors(stage, asked, sight, limits, framed, strength),),
+        derive=partial(_factors, asked),
         wide=(0, 1, 3),
         shared=partial(_slopes_of_weights, asked),
         has_forms=True,
@@ -156,8 +156,8 @@ def _exponents(lights: int, shininess: Float[Array, "1 lanes"]) -> Float[Array, 
 
 
 def _factors(
-    stage: Stage, asked: Asked, sight: Sight, limits: Limits, framed: Array | None, strength: Strength
-) -> Factors:
+    asked: Asked, stage: Stage, sight: Sight, limits: Limits, framed: Array | None, strength: Strength
+) -> tuple[Factors]:
     """The factors, in stages. The vectors to the lights are never stored: three planes cost more to keep than to
     compute anew from 1 / d_L."""
     inverse = reach = power = None
@@ -171,7 +171,7 @@ def _factors(
         reach = stage.each(_reach, distance, aspect.angle, limits, wide=(2,))
     if asked.highlight is not None:
         power = stage.each(asked.highlight.power, aspect.alignment, strength.exponent)
-    return Factors(inverse, aspect, reach, power)
+    return (Factors(inverse, aspect, reach, power),)
 
 
 def _weights(
