@@ -297,6 +297,15 @@ def test_something_else_than_a_scene_is_refused(camera: Camera | nodes.Viewpoint
         rasterize("scene.x3d", camera, 8, 8)
 
 
+def test_a_shape_used_again_and_again_may_not_become_too_many_triangles() -> None:
+    """Few bytes of a file can place a shape a million times."""
+    corners = np.random.default_rng(0).normal(size=(300_000, 3))
+    many = shape(nodes.TriangleSet(coord=nodes.Coordinate(point=corners)))
+    scene = Scene.from_nodes([nodes.Group(children=[nodes.Group(children=[many] * 20)] * 20)])
+    with pytest.raises(ValueError, match=r"rasterize: .*more than 33554432 triangles.*336 of 400 placed shapes"):
+        rasterize(scene, VIEW, 8, 8)
+
+
 def test_sizes_may_be_numbers_of_numpy() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -22,6 +22,9 @@ from .visibility import Prepared, prepare
 _CHUNK = 1 << 15
 """Samples whose attributes are worked out at a time."""
 
+MAX_TRIANGLES = 1 << 25
+"""Triangles of all placed shapes together; a shape used again counts every time."""
+
 
 class Attributes(NamedTuple):
     """What samples carry, world space; colours and texels are None where no surface of the scene has any."""
@@ -48,16 +51,23 @@ class PlacedTriangles:
         """Every shape cut into triangles, curved ones as finely as the picture asks for.
 
         Raises:
-            ValueError: a geometry has an index that does not fit.
+            ValueError: a geometry has an index that does not fit, or there are more than MAX_TRIANGLES.
         """
         known: dict[tuple[int, int], Triangles] = {}
-        all_triangles = []
-        for placed in scene.document.shapes:
+        all_triangles, count = [], 0
+        shapes = scene.document.shapes
+        for number, placed in enumerate(shapes, start=1):
             segments = _segments(placed, camera, width, height)
             key = (id(placed.node), segments)
             if key not in known:
                 known[key] = tessellate(placed.node, segments)
             all_triangles.append(known[key])
+            count += len(known[key])
+            if count > MAX_TRIANGLES:
+                raise ValueError(
+                    f"rasterize: the scene has more than {MAX_TRIANGLES} triangles: {count} up to {placed.node.label}, "
+                    f"{number} of {len(shapes)} placed shapes (one used again counts every time)"
+                )
         first = np.cumsum([0, *(len(triangles) for triangles in all_triangles)])
         return cls(scene, tuple(all_triangles), first)
 

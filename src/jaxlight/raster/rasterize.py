@@ -46,7 +46,8 @@ def rasterize(
         buffer are neighbours in the picture (under many lights: in space). `pixel` counts row by row from the top left.
 
     Raises:
-        ValueError: a size that is not a whole number in range, a geometry with a bad index.
+        ValueError: a size that is not a whole number in range, a geometry with a bad index, too many triangles (more
+            than 2^25 of all placed shapes together).
 
     Warns:
         UserWarning: nothing is seen, or the scene has no geometry; the buffer then has no samples.
