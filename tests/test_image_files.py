@@ -242,6 +242,14 @@ def test_without_openimageio_the_extra_is_named(tmp_path: Path, monkeypatch: pyt
     assert sorted(os.listdir(tmp_path)) == ["a.exr", "deep.png"]
 
 
+def test_the_transparent_grey_of_a_16_bit_png_has_alpha_0(tmp_path: Path) -> None:
+    """All 16 bits of it: 300 is as bright as 256 in the first eight."""
+    grey = np.array([[0, 300, 256], [65535, 300, 301]], np.uint16)
+    Image.fromarray(grey).save(tmp_path / "a.png", transparency=300)
+    expected = np.stack([grey / 65535, grey != 300], axis=-1)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), expected)
+
+
 def test_16_bit_color_is_not_multiplied_by_alpha(tmp_path: Path) -> None:
     pytest.importorskip("OpenImageIO")
     image = np.array([[[1.0, 0.5, 0.25, 0.5], [1, 1, 1, 0]]])

@@ -71,10 +71,12 @@ def pixels_of(image: Image.Image, path: Path) -> np.ndarray:
     if image.mode == "I" and image.format != "PNG":
         raise SceneFileError(path, None, "whole numbers of 32 bits; 8 or 16 bits a component are read")
     image.load()
+    clear = image.info.get("transparency")
     image = ImageOps.exif_transpose(image) or image
     if image.mode.startswith("I"):
-        pixels = np.asarray(image, dtype=np.float64)
-        largest = 65535.0
+        pixels, largest = np.asarray(image, dtype=np.float64), 65535.0
+        if clear is not None:  # the level of what is transparent
+            pixels = np.stack([pixels, np.where(pixels == clear, 0.0, largest)], axis=-1)
     elif image.mode == "F":
         pixels, largest = np.asarray(image, dtype=np.float64), 1.0
     else:
