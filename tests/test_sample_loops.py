@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -14,7 +16,7 @@ import pytest
 
 from fit_scenes import precision
 from jaxlight import Scene, nodes
-from jaxlight.lighting import make_plan, one_loop, shade, shade_tiles
+from jaxlight.lighting import LightingOptions, make_plan, one_loop, shade, shade_tiles
 from jaxlight.lighting.one_loop import in_one_loop
 from jaxlight.lighting.unrolled import unrolled
 from jaxlight.raster import SampleBuffer
@@ -90,8 +92,9 @@ def test_loops_are_mapped_over_any_axis() -> None:
 
 def test_other_platforms_evaluate_the_function_on_planes() -> None:
     traced = jax.jit(looped).trace(*(jnp.asarray(plane, jnp.float32) for plane in PLANES))
-    assert "stablehlo.map" in traced.lower(lowering_platforms=("cpu",)).as_text()
-    assert "stablehlo.map" not in traced.lower(lowering_platforms=("cuda",)).as_text()
+    exponentials = re.compile(r"stablehlo\.exponential .*tensor<([0-9x]+)xf32>")
+    assert exponentials.findall(traced.lower(lowering_platforms=("cpu",)).as_text()) == ["4x64x3"]
+    assert exponentials.findall(traced.lower(lowering_platforms=("cuda",)).as_text()) == ["4x64"]
 
 
 # --- the equation -----------------------------------------------------------------------------------------------------
@@ -113,16 +116,20 @@ def lights_of(kind: str, count: int) -> list[Any]:
     return [nodes.SpotLight(direction=(0.1, 0, -1), beam_width=0.4, cut_off_angle=1.0, **own) for own in near]
 
 
-def scene_under(lights: list[Any], fog: bool = True) -> Scene:
+def scene_under(lights: list[Any], fog: str | None = "LINEAR", dtype: Any = None) -> Scene:
     material = nodes.Material(ambient_intensity=0.3, emissive_color=(0.1, 0, 0.05), specular_color=(0.5, 0.6, 0.4))
     shape = nodes.Shape(appearance=nodes.Appearance(material=material))
-    hidden = [nodes.Fog(color=(0.5, 0.6, 0.7), visibility_range=20)] if fog else []
+    hidden = [nodes.Fog(color=(0.5, 0.6, 0.7), visibility_range=20, fog_type=fog)] if fog else []
     framed = [nodes.Transform(scale=(1, 2, 0.5), children=lights[:1]), *lights[1:]]
-    return Scene.from_nodes([shape, *framed, *hidden])
+    return Scene.from_nodes([shape, *framed, *hidden], dtype=dtype)
 
 
 @pytest.fixture
 def samples() -> SampleBuffer:
+    return samples_of(np.float32)
+
+
+def samples_of(dtype: Any) -> SampleBuffer:
     random = np.random.default_rng(6)
     return SampleBuffer.create(
         random.uniform([-2, -2, -0.2], [2, 2, 0.2], (COUNT, 3)),
@@ -130,6 +137,7 @@ def samples() -> SampleBuffer:
         [0.5, 0.2, 4],
         color=random.uniform(0, 1, (COUNT, 4)),
         by_place=True,
+        dtype=dtype,
     )
 
 
@@ -162,13 +170,45 @@ def test_loops_and_stages_give_the_same_colours(name: str, samples: SampleBuffer
     assert np.all(np.asarray(change)[:, :3] > 0) and np.std(np.asarray(in_loops)[:, :3]) > 0.02
 
 
-def test_a_tile_under_few_lights_is_one_loop(samples: SampleBuffer) -> None:
-    """One for tiles whose squared distances are surely in range, one for the others, and no boundary of a stage."""
-    scene = scene_under(LIGHTS["all kinds in one loop"], fog=False)
-    program = jax.jit(lambda scene, samples: shade_tiles(scene, samples)).lower(scene, samples).compile().as_text()
-    assert program is not None
-    assert program.count(" map(") == 2
-    assert "stage.seen" not in program and "stage.weights" not in program
+def stored_in_loops(program: str) -> dict[str, int]:
+    """How many planes (of 64 numbers or more) each form of each loop over samples stores; by loop and branch."""
+    # What the computations of fusions hold is not stored.
+    outside = "\n".join(part for part in program.split("\n\n") if "fused_computation" not in part.split("(")[0])
+    found = re.findall(r"= [a-z]+\d*\[([\d,]+)\].*op_name=\"[^\"]*/loop\.(\w+)/cond/branch_([12])_fun", outside)
+    planes = [f"{loop} {branch}" for shape, loop, branch in found if math.prod(map(int, shape.split(","))) >= 64]
+    return dict(Counter(planes))
+
+
+@pytest.mark.parametrize(
+    ("name", "fog", "bits", "accuracy"),
+    [
+        ("few of all kinds", "EXPONENTIAL", "float32", "full"),
+        ("few of all kinds", "LINEAR", "float32", "fast"),
+        ("few of all kinds", "EXPONENTIAL", "float64", "fast"),
+        ("all kinds in one loop", "LINEAR", "float64", "full"),
+        ("all kinds in one loop", None, "float32", "full"),
+    ],
+)
+def test_a_tile_under_few_lights_is_one_loop(name: str, fog: Any, bits: str, accuracy: Any) -> None:
+    """One for tiles whose squared distances are surely in range, one for the others, and no boundary of a stage.
+
+    Nothing is taken out of them and stored, however costly and by how much it is asked for.
+    """
+    with precision(bits) as dtype:
+        scene, samples = scene_under(LIGHTS[name], fog, dtype), samples_of(dtype)
+        plan = make_plan(scene, samples, LightingOptions(accuracy=accuracy))
+        program = jax.jit(lambda scene, samples: shade_tiles(scene, samples, plan=plan)).lower(scene, samples).compile()
+        text = program.as_text() or ""
+        assert stored_in_loops(text) == {"colors 1": 1, "colors 2": 1}
+        assert "stage.seen" not in text and "stage.weights" not in text
+
+
+def test_more_lights_are_a_loop_for_each_few(samples: SampleBuffer) -> None:
+    """Of points, in parts of one size, and of directional lights."""
+    scene = scene_under(LIGHTS["more than one loop holds"])
+    program = jax.jit(shade_tiles).lower(scene, samples).compile().as_text()
+    loops = {"directions": 1, "received": 2, "mixed": 1}
+    assert stored_in_loops(program or "") == {f"{loop} {form}": n for loop, n in loops.items() for form in (1, 2)}
 
 
 @pytest.mark.parametrize("bits", ["float32", "float64"])
@@ -242,7 +282,7 @@ def test_gradients_unroll_no_loop(samples: SampleBuffer, monkeypatch: pytest.Mon
         moved = eqx.tree_at(lambda scene: scene.point.location, scene, places)
         return jnp.sum(shade_tiles(moved, samples))
 
-    def fail(jaxpr: Any) -> Any:
+    def fail(*_: Any) -> Any:
         raise AssertionError("unrolled")
 
     monkeypatch.setattr(one_loop, "unrolled", fail)

@@ -8,20 +8,31 @@ from __future__ import annotations
 
 import functools
 import math
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive
 from jaxtyping import Array
 
 Elements = np.ndarray
 """Of any shape, whose elements (dtype object) are numbers or traced numbers."""
 
+Applied = Callable[[Primitive, Sequence[Any], dict[str, Any]], Any]
+"""The result of an operation on numbers, given its parameters too."""
 
-def unrolled(jaxpr: ClosedJaxpr) -> Callable[..., list[Array]]:
+
+def _applied(primitive: Primitive, numbers: Sequence[Any], params: dict[str, Any]) -> Any:
+    return primitive.bind(*numbers, **params)
+
+
+def unrolled(jaxpr: ClosedJaxpr, applied: Applied = _applied) -> Callable[..., list[Array]]:
     """The function that the jaxpr stands for, from the elements of its operands, row by row, to those of its results.
+
+    Args:
+        jaxpr: of the function.
+        applied: how operations on numbers are applied. Constants are given to it as numbers of NumPy.
 
     Raises:
         NotImplementedError: an operation that cannot be unrolled.
@@ -34,7 +45,7 @@ def unrolled(jaxpr: ClosedJaxpr) -> Callable[..., list[Array]]:
             count = math.prod(shape)
             operands.append(_elements(numbers[first : first + count], shape))
             first += count
-        results = _evaluated(jaxpr.jaxpr, [_constants(const) for const in jaxpr.consts], operands)
+        results = _evaluated(applied, jaxpr.jaxpr, [_constants(const) for const in jaxpr.consts], operands)
         return [number for result in results for number in result.reshape(-1)]
 
     return function
@@ -49,25 +60,27 @@ def _constants(value: Any) -> Elements:
     return _elements([array.dtype.type(number) for number in array.reshape(-1)], array.shape)
 
 
-def _evaluated(jaxpr: Jaxpr, consts: Sequence[Elements], operands: Sequence[Elements]) -> list[Elements]:
+def _evaluated(
+    applied: Applied, jaxpr: Jaxpr, consts: Sequence[Elements], operands: Sequence[Elements]
+) -> list[Elements]:
     known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *operands], strict=True))
 
     def read(variable: Any) -> Elements:
         return _constants(variable.val) if isinstance(variable, Literal) else known[variable]
 
     for equation in jaxpr.eqns:
-        results = _applied(equation, [read(variable) for variable in equation.invars])
+        results = _results(applied, equation, [read(variable) for variable in equation.invars])
         known.update(zip(equation.outvars, results, strict=True))
     return [read(variable) for variable in jaxpr.outvars]
 
 
-def _applied(equation: Any, operands: list[Elements]) -> list[Elements]:
+def _results(applied: Applied, equation: Any, operands: list[Elements]) -> list[Elements]:
     name, params = equation.primitive.name, equation.params
     inner = params.get("call_jaxpr", params.get("jaxpr"))
     if isinstance(inner, ClosedJaxpr):
-        return _evaluated(inner.jaxpr, [_constants(const) for const in inner.consts], operands)
+        return _evaluated(applied, inner.jaxpr, [_constants(const) for const in inner.consts], operands)
     if isinstance(inner, Jaxpr):
-        return _evaluated(inner, [], operands)
+        return _evaluated(applied, inner, [], operands)
     shape = equation.outvars[0].aval.shape
     if name in _MOVES:
         return [_MOVES[name](operands, shape, params)]
@@ -77,11 +90,11 @@ def _applied(equation: Any, operands: list[Elements]) -> list[Elements]:
     if name == "reduce_sum":
         kept = [axis for axis in range(operands[0].ndim) if axis not in params["axes"]]
         rows = operands[0].transpose(*kept, *params["axes"]).reshape(math.prod(shape), -1)
-        return [_elements([functools.reduce(jax.lax.add, row) for row in rows], shape)]
+        return [_elements([functools.reduce(operator.add, row) for row in rows], shape)]
     if name not in _ELEMENTWISE:
         raise NotImplementedError(f"{name} of {[operand.shape for operand in operands]} cannot be unrolled")
     columns = [np.broadcast_to(operand, shape).reshape(-1) for operand in operands]
-    return [_elements([equation.primitive.bind(*row, **params) for row in zip(*columns, strict=True)], shape)]
+    return [_elements([applied(equation.primitive, row, params) for row in zip(*columns, strict=True)], shape)]
 
 
 def _broadcast(operands: list[Elements], shape: tuple[int, ...], params: dict[str, Any]) -> Elements:
@@ -113,4 +126,6 @@ _FUNCTIONS = {"atan2", "cos", "integer_pow", "rsqrt", "sin", "sqrt", "square", "
 _POWERS = {"exp", "exp2", "expm1", "log", "log1p", "log2", "pow"}
 _CHOICES = {"and", "eq", "ge", "gt", "is_finite", "le", "lt", "ne", "not", "or", "select_n", "xor"}
 _BITS = {"bitcast_convert_type", "shift_left", "shift_right_arithmetic", "shift_right_logical"}
+COSTLY = {"div", "rem"} | _FUNCTIONS | _POWERS
+"""Names of what XLA holds to be costly, and some others."""
 _ELEMENTWISE = _ARITHMETIC | _ROUNDED | _FUNCTIONS | _POWERS | _CHOICES | _BITS
