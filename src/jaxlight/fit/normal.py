@@ -16,6 +16,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from ..lighting.tiles import Share, tiles_at_once
@@ -92,12 +93,13 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
             slopes = [slope_of(color) for slope_of in slopes_of]
             if parts[0].moving.exposure is not None:
                 slopes[0] = eqx.tree_at(lambda inputs: inputs.exposure, slopes[0], exposure)
-            return add_terms(carry, (half_losses(*problem.rho, residual), *jax.tree.leaves(slopes)))
+            return add_terms(carry, (ravel_pytree((half_losses(*problem.rho, residual), slopes))[0],))
 
-        leaves, tree = jax.tree.flatten([part.zeros for part in parts])
-        zeros = (jnp.zeros(LANES, values.dtype), *leaves)
-        value, *slopes = added_up(_over_all(problem, view, of_tile, (zeros, jax.tree.map(jnp.zeros_like, zeros))))
-        gradients = [part.pull(slope) for part, slope in zip(parts, tree.unflatten(slopes), strict=True)]
+        # As one array: of several, each would be copied for every tile.
+        zeros, apart = ravel_pytree((jnp.zeros(LANES, values.dtype), [part.zeros for part in parts]))
+        (total,) = added_up(_over_all(problem, view, of_tile, ((zeros,), (zeros,))))
+        value, slopes = apart(total)
+        gradients = [part.pull(slope) for part, slope in zip(parts, slopes, strict=True)]
         return add(carry, (value, sum(gradients[1:], gradients[0])))
 
     def pulled(residual_at: Callable[[Any], Array], at: Any) -> tuple[Array, Any]:
