@@ -192,3 +192,22 @@ def test_what_is_inlined_knows_its_shape_and_is_computed_where_it_is_taken(input
     found = stored({"part": part, "other": inputs[0]})
     assert found["other"] is inputs[0]
     np.testing.assert_array_equal(found["part"], inputs[2][1])
+
+
+def test_stages_of_a_sum_in_parts_store_no_constants_for_its_derivatives(inputs: Any) -> None:
+    """What a stage holds of constants is known before the loop; JAX would compute it there, and every part load it."""
+
+    def term(stage: Stage, total: Any, part: jax.Array) -> jax.Array:
+        return stage.each(lambda plane: jnp.where(plane > 1, plane**2, 3.0), part)
+
+    def total(always: jax.Array, parts: jax.Array) -> jax.Array:
+        return jnp.sum(Stage(always).sum_over(term, None, parts))
+
+    with jax.enable_x64(True):
+        parts, always = inputs[2], jnp.asarray(True)
+        program = jax.make_jaxpr(jax.value_and_grad(total, argnums=1))(always, parts)
+        assert "cond" in [equation.primitive.name for equation in _equations(program.jaxpr)]
+        assert "cond" not in [equation.primitive.name for equation in program.jaxpr.eqns]
+        value, slope = jax.value_and_grad(total, argnums=1)(always, parts)
+        np.testing.assert_allclose(value, jnp.sum(jnp.where(parts > 1, parts**2, 3.0)))
+        np.testing.assert_allclose(slope, jnp.where(parts > 1, 2 * parts, 0.0))

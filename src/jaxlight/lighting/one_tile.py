@@ -309,7 +309,7 @@ def _light(how: How, near: Near | None, stage: Stage, inputs: TileInputs, tile: 
             parts = -(-lights.count // most)
             # All about as long: what is missing is filled up with black.
             chunks = in_chunks(lights, -(-lights.count // parts))
-            total = stage.sum_over(lambda total, some, of=with_light: of(stage, total, some), total, chunks)
+            total = stage.sum_over(with_light, total, chunks)
         else:
             total = with_light(stage, total, lights)
     return total

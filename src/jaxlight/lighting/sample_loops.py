@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, Self, cast
 
 import equinox as eqx
 import jax
@@ -59,10 +59,10 @@ class SampleLoops(Stage):
             total = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
         return lax.fori_loop(0, count, lambda number, total: term(total, number), total)
 
-    def sum_over(self, term: Callable[[Any, Any], Any], total: Any, parts: Any) -> Any:
+    def sum_over(self, term: Callable[[Self, Any, Any], Any], total: Any, parts: Any) -> Any:
         def with_part(total: Any, number: Array) -> Any:
             part = jax.tree.map(lambda leaf: lax.dynamic_index_in_dim(leaf, number, keepdims=False), parts)
-            return term(total, part)
+            return term(self, total, part)
 
         return self.sum(with_part, total, jax.tree.leaves(parts)[0].shape[0])
 

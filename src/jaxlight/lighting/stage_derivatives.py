@@ -75,32 +75,48 @@ def _each_jvp(how: How, primals: Any, tangents: Any) -> Any:
     results = each(how, stage, operands, derived)
     if not moves(changes):
         return results, jax.tree.map(jnp.zeros_like, results)
+    return results, change_along(how, stage, operands, derived, results, *directions_of(operands, changes))
+
+
+def directions_of(operands: Any, changes: Any) -> tuple[list[int], list[Array]]:
+    """Which of the operands' planes move, and how."""
+    pairs = list(zip(_planes(operands), _planes(changes), strict=True))
+    moving = [number for number, (_, change) in enumerate(pairs) if moves(change)]
+    # Of planes that are not stored, too: derivatives by the array that one lies in would compute the stage anew for
+    # every part of that.
+    return moving, [with_change(stored, pairs[n][:1], pairs[n][1:])[1] for n in moving]
+
+
+def change_along(
+    how: How, stage: Boundary, operands: Any, derived: Any, results: Any, moving: list[int], directions: list[Array]
+) -> Any:
+    """The change of the results by those planes of the operands that move, see `directions_of`, behind a boundary.
+
+    Args:
+        how: derives nothing.
+        operands, derived, results: planes, or what stands for planes.
+    """
     with jax.named_scope(f"stage.{name_of(how.function)}.change"):
-        found = _change(how, stage, operands, derived, results, changes)
-    return results, found
+        return _change(how, stage, operands, derived, results, moving, directions)
 
 
-def _change(how: How, stage: Boundary, operands: Any, derived: Any, results: Any, changes: Any) -> Any:
-    """The change of the results by those planes of the operands that move."""
+def _change(
+    how: How, stage: Boundary, operands: Any, derived: Any, results: Any, moving: list[int], directions: list[Array]
+) -> Any:
     inside = how.shared_forms
     if how.forward and inside is not None:
         # Many directions share it. Each plane is a stage of its own: some directions ask for none.
         derived, inside = (*derived, _each_by_itself(stage, inside, (results, *operands, *derived))), None
-    shape = jnp.broadcast_shapes(*(result.shape for result in jax.tree.leaves(results)))
+    shapes = [result.shape for result in jax.tree.leaves(jax.eval_shape(lambda: stored(results)))]
+    shape = jnp.broadcast_shapes(*shapes)
     is_wide = [position in how.wide for position, own in enumerate(operands) for _ in jax.tree.leaves(stored(own))]
-    pairs = list(zip(_planes(operands), _planes(changes), strict=True))
-    moving = [number for number, (_, change) in enumerate(pairs) if moves(change)]
 
     def widened(number: int, plane: Array) -> Array:
         return jnp.broadcast_to(plane, shape) if is_wide[number] else plane
 
-    # Of planes that are not stored, too: derivatives by the array that one lies in would compute the stage anew for
-    # every part of that.
-    directions = [widened(n, with_change(stored, pairs[n][:1], pairs[n][1:])[1]) for n in moving]
-
     def change(form: int, known: tuple[Any, Any, Any], directions: list[Array]) -> Any:
-        operands, derived, results = known
-        planes, tree = jax.tree.flatten(stored(operands))
+        operands, derived, results = stored(known)
+        planes, tree = jax.tree.flatten(operands)
         shared = () if inside is None else (inside[form](results, *tree.unflatten(planes), *derived),)
 
         def of_moving(*values: Array) -> Any:
@@ -108,8 +124,9 @@ def _change(how: How, stage: Boundary, operands: Any, derived: Any, results: Any
 
         return jax.jvp(of_moving, [widened(number, planes[number]) for number in moving], directions)[1]
 
+    wide = [widened(number, direction) for number, direction in zip(moving, directions, strict=True)]
     changes_of = [partial(change, form) for form in range(len(how.forms))]
-    return linear_stage(how.which(stage), changes_of, (operands, derived, results if inside else None), directions)
+    return linear_stage(how.which(stage), changes_of, (operands, derived, results if inside else None), wide)
 
 
 def _each_by_itself(stage: Boundary, forms: Forms, operands: tuple[Any, ...]) -> Any:

@@ -9,9 +9,10 @@ Profiles know a stage by the name of its function (`jax.named_scope`).
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import jax
@@ -71,18 +72,24 @@ class Stage(eqx.Module):
         own = running_sum(lambda number: stored(term(None, number)), count)
         return own if total is None else jax.tree.map(jnp.add, stored(total), own)
 
-    def sum_over(self, term: Callable[[Any, Any], Any], total: Any, parts: Any) -> Any:
-        """The sum of `total` (None: 0) and of a term for every part along the leading axis of `parts`, as `sum`."""
-        first = jax.eval_shape(lambda: stored(term(None, jax.tree.map(lambda leaf: leaf[0], parts))))
+    def sum_over(self, term: Callable[[Self, Any, Any], Any], total: Any, parts: Any) -> Any:
+        """The sum of `total` (None: 0) and of a term for every part along the leading axis of `parts`, as `sum`:
+        term(stage, so far, part)."""
+        first = jax.eval_shape(lambda: stored(term(self, None, jax.tree.map(lambda leaf: leaf[0], parts))))
         zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), first)
 
         # Checkpoint: what derivatives need of a part is computed anew, and never stored for all.
         @jax.checkpoint
-        def term_of(part: Any) -> Any:
-            return stored(term(None, part))
+        def term_of(number: Array, part: Any) -> Any:
+            # Stages that are known before the loop JAX would take apart: planes of their constants would be stored.
+            own = dataclasses.replace(self, always=self.always & (number >= 0))
+            return stored(term(own, None, part))
 
-        start = zeros if total is None else stored(total)
-        return lax.scan(lambda total, part: (jax.tree.map(jnp.add, total, term_of(part)), None), start, parts)[0]
+        def with_term(total: Any, numbered: tuple[Array, Any]) -> tuple[Any, None]:
+            return jax.tree.map(jnp.add, total, term_of(*numbered)), None
+
+        numbers = jnp.arange(jax.tree.leaves(parts)[0].shape[0])
+        return lax.scan(with_term, zeros if total is None else stored(total), (numbers, parts))[0]
 
     def together(self, function: Callable[..., Any], *operands: Any) -> Any:
         """function(self, *operands), whose stages may be put into one: here they are not."""
@@ -133,8 +140,20 @@ class Stage(eqx.Module):
                 them as one more of `derived`.
             has_forms: function and what is shared take a keyword `ordinary`: there are two forms of them.
         """
-        how = How(function, () if self.forward else wide, shared, has_forms, self.forward, derive)
+        how = self.how(function, derive=derive, wide=wide, shared=shared, has_forms=has_forms)
         return each(how, self, operands, derived)
+
+    def how(
+        self,
+        function: Callable[..., Any],
+        *,
+        derive: Callable[..., tuple[Any, ...]] | None = None,
+        wide: tuple[int, ...] = (),
+        shared: Callable[..., Any] | None = None,
+        has_forms: bool = False,
+    ) -> How:
+        """What is static of `each` with these arguments."""
+        return How(function, () if self.forward else wide, shared, has_forms, self.forward, derive)
 
 
 def _shapes_of(function: Callable[..., Any], operands: tuple[Any, ...]) -> Any:

@@ -63,7 +63,9 @@ def received(
     # A plane for every light: derivatives are then added up light by light, and only those sums over lights.
     exponent = None if highlight is None else stage.each(partial(_exponents, lights.count), material.shininess)
     strength = Strength(lights.intensity, ambient, exponent)
-    for_diffuse, for_specular = stage.each(
+    sums = sums_of_colors(
+        stage,
+        lights.color,
         partial(_weights, asked),
         sight,
         limits,
@@ -74,9 +76,7 @@ def received(
         shared=partial(_slopes_of_weights, asked),
         has_forms=True,
     )
-    weights = [for_diffuse] if for_specular is None else [for_diffuse, for_specular]
-    diffuse, *specular = sums_of_colors(stage, lights.color, weights)
-    return Received(diffuse, specular[0] if specular else None)
+    return Received(*sums)
 
 
 class Asked(NamedTuple):
