@@ -59,19 +59,23 @@ def loss(problem: Problem, values: Float[Array, " parameters"], *, by_view: bool
             residual = view_residual(problem, problem.at(values), view)
             parts = jnp.swapaxes(residual.reshape(3, -1, view.samples.tile), 0, 1)
             return jax.lax.scan(of_part, carry, parts)[0]
-        inputs = view_inputs(problem, view, values)
+        together = _together(problem, view)
+        inputs = view_inputs(problem, view, values, together)
 
         def of_tile(carry: Any, tile: Tile) -> Any:
             return of_part(carry, jax.checkpoint(tile.residual)(inputs))[0]
 
-        return _over_all(problem, view, of_tile, carry)
+        return _over_all(problem, view, of_tile, carry, together)
 
     (total,) = over_views(problem, of_view, (jnp.zeros(LANES, values.dtype),))
     return jnp.sum(total) + _prior_loss(problem, values)
 
 
-def _over_all(problem: Problem, view: ViewData, of_tile: Callable[[Any, Tile], Any], carry: Any) -> Any:
-    together = tiles_at_once(problem.world.scene, view.samples, view.plan)
+def _together(problem: Problem, view: ViewData) -> int:
+    return tiles_at_once(problem.world.scene, view.samples, view.plan)
+
+
+def _over_all(problem: Problem, view: ViewData, of_tile: Callable[[Any, Tile], Any], carry: Any, together: int) -> Any:
     return over_tiles(problem, view, lambda carry, tile: (of_tile(carry, tile), None), carry, together=together)[0]
 
 
@@ -84,7 +88,8 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
         if view.pixel is not None:
             return add(carry, pulled(lambda v: view_residual(problem, problem.at(v), view), values))
 
-        parts = parts_of(problem, view, values)
+        together = _together(problem, view)
+        parts = parts_of(problem, view, values, together)
 
         def of_tile(carry: Any, tile: Tile) -> Any:
             colors, slopes_of = zip(*(part.color_and_slope(tile) for part in parts), strict=True)
@@ -97,7 +102,7 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
 
         # As one array: of several, each would be copied for every tile.
         zeros, apart = ravel_pytree((jnp.zeros(LANES, values.dtype), [part.zeros for part in parts]))
-        (total,) = added_up(_over_all(problem, view, of_tile, ((zeros,), (zeros,))))
+        (total,) = added_up(_over_all(problem, view, of_tile, ((zeros,), (zeros,)), together))
         value, slopes = apart(total)
         gradients = [part.pull(slope) for part, slope in zip(parts, slopes, strict=True)]
         return add(carry, (value, sum(gradients[1:], gradients[0])))

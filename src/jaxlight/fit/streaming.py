@@ -67,14 +67,15 @@ class Tile(NamedTuple):
         return stage(lambda: together.transpose(2, 0, 1), name="turned")
 
 
-def view_inputs(problem: Problem, view: ViewData, values: Float[Array, " parameters"]) -> ViewInputs:
-    """The inputs of a view's tiles at these values."""
-    return inputs_of(problem.at(values), view, view.plan)
+def view_inputs(problem: Problem, view: ViewData, values: Float[Array, " parameters"], together: int = 1) -> ViewInputs:
+    """The inputs of a view's tiles at these values, `together` of them at once."""
+    return inputs_of(problem.at(values), view, view.plan, together)
 
 
-def inputs_of(world: World, view: ViewData, plan: Plan) -> ViewInputs:
-    """The inputs of a view's tiles, as far as a plan needs them."""
-    return ViewInputs(prepare(scene_of_view(world, view), view.samples, plan), world.exposure[view.row])
+def inputs_of(world: World, view: ViewData, plan: Plan, together: int = 1) -> ViewInputs:
+    """The inputs of a view's tiles, `together` of them at once, as far as a plan needs them."""
+    scene = scene_of_view(world, view)
+    return ViewInputs(prepare(scene, view.samples, plan, together), world.exposure[view.row])
 
 
 def with_textures(inputs: ViewInputs, images: tuple[Array, ...]) -> ViewInputs:

@@ -58,15 +58,17 @@ def _with_prepared(inputs: ViewInputs, of: Callable[[Prepared], Prepared]) -> Vi
     return dataclasses.replace(inputs, prepared=of(inputs.prepared))
 
 
-def parts_of(problem: Problem, view: ViewData, values: Float[Array, " parameters"]) -> list[GradientPart]:
-    """The parts of a gradient at these values; of the first, the plan is that of the view.
+def parts_of(
+    problem: Problem, view: ViewData, values: Float[Array, " parameters"], together: int
+) -> list[GradientPart]:
+    """The parts of a gradient at these values, for tiles `together` at once; of the first, the plan is the view's.
 
     Of lights that are few of the view's a part of their own: light adds up, and the others need no derivatives.
     """
 
     def part(plan: Plan, *, lights: bool, others: bool) -> GradientPart:
         def inputs_at(values: Array) -> ViewInputs:
-            return inputs_of(problem.at(values), view, plan)
+            return inputs_of(problem.at(values), view, plan, together)
 
         which = _moved_of(moved_leaves(inputs_at, values), lights, others)
         moving, pull = jax.vjp(lambda values: eqx.filter(inputs_at(values), which), values)

@@ -147,7 +147,7 @@ def _tile_color(
 def _tile_color_jvp(how: How, primals: Any, tangents: Any) -> tuple[Color, Color]:
     def in_stages(prepared: Prepared, samples: SampleBuffer, texel: Array | None, index: Array) -> Color:
         stage = Stage(_always(how, samples, index), forward=how.forward)
-        return mapped_axis_first(_color(stage, how, prepared, samples, texel, index, lanes_of(samples)))
+        return mapped_axis_first(_color(stage, how, prepared, samples, texel, index, prepared.lanes))
 
     (prepared, _, *others), (change, _, *other_changes) = primals, tangents
     return with_change(in_stages, (prepared, *others), (change, *other_changes))

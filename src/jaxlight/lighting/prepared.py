@@ -39,11 +39,15 @@ class Prepared(eqx.Module):
     ordinary: Bool[Array, " tiles"]
     """Which tiles are ordinary (see `ordinary`) as far as lights go that are not culled."""
     surfaces: tuple[Surface, ...] = eqx.field(static=True)
+    lanes: int = eqx.field(static=True)
+    """On which numbers are, but those of lights that are culled."""
 
 
-def prepare(scene: Scene, samples: SampleBuffer, plan: Plan) -> Prepared:
-    """Materials, lights and fog as the tiles of these samples read them."""
+def prepare(scene: Scene, samples: SampleBuffer, plan: Plan, together: int = 1) -> Prepared:
+    """Materials, lights and fog as the tiles of these samples read them, `together` of them at once."""
     dtype = compute_dtype(samples)
+    # As many rows however many tiles: sums of more are slower.
+    lanes = min(together * lanes_of(samples), samples.tile)
     kinds = [(scene.directional, plan.directional), (scene.point, plan.point), (scene.spot, plan.spot)]
     world: list[WorldLights | None] = []
     shading_all: list[WorldLights] = []
@@ -53,8 +57,7 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan) -> Prepared:
             world.append(None)
             scopes.append(None)
             continue
-        lanes = 1 if light_plan.culled else lanes_of(samples)
-        own = lights_in_world(lights, light_plan, dtype, samples.camera_to_world, lanes)
+        own = lights_in_world(lights, light_plan, dtype, samples.camera_to_world, 1 if light_plan.culled else lanes)
         world.append(own)
         if not light_plan.culled:
             shading_all.append(own)
@@ -63,17 +66,16 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan) -> Prepared:
     return Prepared(
         materials=None
         if scene.materials is None
-        else jax.tree.map(lambda a: on_lanes(a.astype(dtype), lanes_of(samples)), scene.materials),
+        else jax.tree.map(lambda a: on_lanes(a.astype(dtype), lanes), scene.materials),
         directional=world[0],
         point=world[1],
         spot=world[2],
         scopes=tuple(scopes),  # type: ignore[arg-type]  # three of them
-        fog=None
-        if plan.fog is None or scene.fog is None
-        else fog_in_world(scene.fog, plan.fog, dtype, lanes_of(samples)),
+        fog=None if plan.fog is None or scene.fog is None else fog_in_world(scene.fog, plan.fog, dtype, lanes),
         textures=tuple(texture.image for texture in scene.textures),
         ordinary=_ordinary(samples, dtype, shading_all, viewer_of(samples, plan)),
         surfaces=scene.surfaces,
+        lanes=lanes,
     )
 
 

@@ -125,7 +125,8 @@ def _rows_jvp(plan: Plan, primals: Any, tangents: Any) -> Any:
     by_images = moves((planes, change.textures))
 
     def in_stages(scene: Scene, samples: SampleBuffer) -> Array:
-        prepared, count = prepare(scene, samples, plan), tiles_at_once(scene, samples, plan)
+        count = tiles_at_once(scene, samples, plan)
+        prepared = prepare(scene, samples, plan, count)
         runs = [
             color_and_alpha_of_run(run, prepared, samples, plan, count, by_images=by_images)
             for run in surface_runs(scene.surfaces, samples)

@@ -18,7 +18,7 @@ from ..raster.samples import SampleBuffer
 from ..scene import Scene, Surface
 from .one_tile import Color, Run, rows_of_tiles, tile_color
 from .plan import Plan
-from .prepared import Prepared, compute_dtype, lanes_of, on_one_lane
+from .prepared import Prepared, compute_dtype, on_one_lane
 from .stages import PLANE
 from .surface import sampled_texture
 
@@ -121,7 +121,7 @@ def color_and_alpha_of_run(
 
     def planes_of(color: Color) -> Color:
         # Row by row, as they are computed, or XLA would divide to find the place of every number.
-        own = color.rgb.reshape(3, count, -1, lanes_of(samples))
+        own = color.rgb.reshape(3, count, -1, prepared.lanes)
         # What has an axis of length 1 would be copied in reverse mode.
         return color._replace(rgb=jnp.swapaxes(own, 0, 1) if count > 1 else own[:, 0])
 
