@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Literal
 
-from .report import table
+from .report import processor, table
 from .settings import Settings
 
 BASELINE = Path(__file__).parent / "data" / "baseline.json"
@@ -82,8 +82,15 @@ def write_baseline(metrics: list[Metric], baseline: Path = BASELINE) -> None:
             "better": metric.better,
             "tolerance": metric.tolerance,
             "date": datetime.date.today().isoformat(),
+            "processor": processor(),
         }
     baseline.write_text(json.dumps({"metrics": dict(sorted(known.items()))}, indent=1) + "\n")
+
+
+def other_processors(baseline: Path = BASELINE) -> list[str]:
+    """On which other processors metrics of the baseline were measured: ratios there may well differ."""
+    found = {entry.get("processor", "an unknown one") for entry in json.loads(baseline.read_text())["metrics"].values()}
+    return sorted(found - {processor()})
 
 
 def verdict_table(verdicts: list[Verdict]) -> str:
@@ -102,6 +109,8 @@ def run_gate(metrics: list[Metric], settings: Settings) -> int:
             print(error, file=sys.stderr)
             return 2
         print("\n" + verdict_table(verdicts))
+        if others := other_processors():
+            print(f"Parts of the baseline are of other processors, whose ratios may differ: {', '.join(others)}")
         failed = [verdict.name for verdict in verdicts if not verdict.passed]
         print(f"gate: {len(failed)} of {len(verdicts)} metrics worse than allowed: {', '.join(failed) or 'none'}")
         status = 1 if failed else 0

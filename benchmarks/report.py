@@ -47,7 +47,7 @@ def conditions(plan: Plan, measurements: Sequence[Measurement] = ()) -> str:
     busy = max((m.busy for m in measurements if m.skipped is None), default=1.0)
     clock = "processor time" if len(plan.cores) == 1 else "wall time"
     lines = [
-        f"{datetime.date.today().isoformat()}, {_processor()}, {_cores(plan)}, medians of {clock} over "
+        f"{datetime.date.today().isoformat()}, {processor()}, {_cores(plan)}, medians of {clock} over "
         f"{plan.rounds} rounds in turn. {', '.join(f'{k} {v}' for k, v in versions().items())}.",
     ]
     if len(plan.cores) == 1 and busy > _LOADED:
@@ -86,7 +86,7 @@ def versions() -> dict[str, str]:
     return found
 
 
-def _processor() -> str:
+def processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -101,7 +101,7 @@ def save(folder: Path, name: str, text: str, data: Any, measurements: Sequence[M
     (folder / f"{name}.md").write_text(text + "\n")
     document = {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "processor": _processor(),
+        "processor": processor(),
         "versions": versions(),
         "data": data,
         "measurements": [_plain(m) for m in measurements],

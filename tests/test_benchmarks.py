@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks import gate, memory, yardstick
+from benchmarks import gate, memory, report, yardstick
 from benchmarks import reference as reference_module
 from benchmarks.contenders.base import Operation
 from benchmarks.entrants import PEERS, Entrant
@@ -178,10 +178,13 @@ def test_the_gate_knows_directions_and_tolerances(tmp_path: Path) -> None:
         gate.compare([], tmp_path / "nothing.json")
 
 
-def test_a_new_baseline_keeps_what_was_not_measured(tmp_path: Path) -> None:
+def test_a_new_baseline_keeps_what_was_not_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "baseline.json"
     gate.write_baseline([gate.Metric("kept", 1.0, "lower"), gate.Metric("new", 1.0, "lower")], path)
+    monkeypatch.setattr(gate, "processor", lambda: "another")
+    assert gate.other_processors(path) == [report.processor()]
     gate.write_baseline([gate.Metric("new", 2.0, "lower")], path)
+    assert gate.other_processors(path) == [report.processor()]
     metrics = json.loads(path.read_text())["metrics"]
     assert {name: entry["value"] for name, entry in metrics.items()} == {"kept": 1.0, "new": 2.0}
 
