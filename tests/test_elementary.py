@@ -1,8 +1,11 @@
-"""Elementary functions in float32 against float64, within the errors that they state, over all that they are asked."""
+"""Elementary functions against more digits, within the errors that they state, over all that they are asked."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
+import mpmath
 import numpy as np
 import pytest
 
@@ -70,3 +73,33 @@ def test_the_fast_power_of_two_and_logarithm() -> None:
     positive = drawn(-30, 0)
     logarithm = np.asarray(jax.jit(elementary.log2_fast)(positive), np.float64)
     np.testing.assert_allclose(logarithm, np.log2(positive.astype(np.float64)), rtol=1.3e-6)
+
+
+def ulps_of_float64(function: Any, x: np.ndarray, exact: Any) -> np.ndarray:
+    """The errors of float64 values in their last place, against 40 digits."""
+    with jax.enable_x64(True), mpmath.workdps(40):
+        values = np.asarray(jax.jit(function)(x)).tolist()
+        exacts = [exact(mpmath.mpf(number)) for number in x.tolist()]
+        assert all(abs(number) > np.finfo(np.float64).tiny for number in exacts)
+        return np.array([float(abs(v - e) / np.spacing(abs(float(e)))) for v, e in zip(values, exacts, strict=True)])
+
+
+def drawn_in_float64(low: float, high: float, count: int = 4000) -> np.ndarray:
+    random = np.random.default_rng(8)
+    return np.concatenate([10.0 ** random.uniform(low, high, count), random.uniform(10.0**low, 10.0**high, count)])
+
+
+def test_float64_has_its_own_digits() -> None:
+    x = -drawn_in_float64(-17, np.log10(708.3))
+    assert np.max(ulps_of_float64(elementary.exp, x, mpmath.exp) / (1 + np.abs(x))) < 1
+    assert np.max(ulps_of_float64(elementary.one_minus_exp, x, lambda number: -mpmath.expm1(number))) < 1.5
+    near, far = -drawn_in_float64(-17, np.log10(0.25)), drawn_in_float64(-300, np.log10(0.75))
+    assert np.max(ulps_of_float64(elementary.log_of_alignment, near, mpmath.log1p)) < 1.5
+    assert np.max(ulps_of_float64(elementary.log_of_alignment, far, mpmath.log)) < 1.5
+
+
+@pytest.mark.parametrize("x", [-709.0, -710.0, -745.0, -1e9, -1e300, -np.inf])
+def test_a_float64_exponential_below_all_normal_numbers_is_as_good_as_zero(x: float) -> None:
+    with jax.enable_x64(True):
+        assert 0 <= float(jax.jit(elementary.exp)(np.float64(x))) < np.finfo(np.float64).tiny
+        assert float(jax.jit(elementary.one_minus_exp)(np.float64(x))) == 1

@@ -82,6 +82,19 @@ def test_results_stand_side_by_side(bits: str, compiled: bool) -> None:
         np.testing.assert_allclose(got, expected, rtol=4 * np.finfo(dtype).eps)
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_results_may_be_constants_or_what_is_given(compiled: bool) -> None:
+    planes = [jnp.asarray(plane, jnp.float32) for plane in PLANES]
+
+    def found(*planes: jax.Array) -> jax.Array:
+        jaxpr = jax.make_jaxpr(lambda a, b, c: [a * b, c, np.float32(2)])(*(plane[0, 0] for plane in planes))
+        return in_one_loop(jaxpr, planes, (4, 64))
+
+    got = (jax.jit(found) if compiled else found)(*planes)
+    np.testing.assert_allclose(got[..., 0], planes[0] * planes[1], rtol=1e-6)
+    assert np.all(got[..., 1] == planes[2]) and np.all(got[..., 2] == 2)
+
+
 def test_loops_are_mapped_over_any_axis() -> None:
     first, second, third = (jnp.asarray(plane, jnp.float32) for plane in PLANES)
     many = jnp.stack([first, 2 * first], axis=1)
@@ -170,6 +183,15 @@ def test_loops_and_stages_give_the_same_colours(name: str, samples: SampleBuffer
     assert np.all(np.asarray(change)[:, :3] > 0) and np.std(np.asarray(in_loops)[:, :3]) > 0.02
 
 
+def functions_called(program: str) -> set[str]:
+    """What of planes (of 64 numbers or more) is computed by a call in some precision: LLVM repeats calls."""
+    found = re.findall(r"= f\d+\[([\d,]+)\]\S* ([a-z][a-z0-9\-]*)\(", program)
+    names = {name for shape, name in found if math.prod(map(int, shape.split(","))) >= 64}
+    assert {"multiply", "sqrt"} <= names
+    functions = ("exponential", "log", "power", "tan", "sine", "cosine", "atan2", "cbrt", "erf")
+    return {name for name in names if name.startswith(functions)}
+
+
 def stored_in_loops(program: str) -> dict[str, int]:
     """How many planes (of 64 numbers or more) each form of each loop over samples stores; by loop and branch."""
     # What the computations of fusions hold is not stored.
@@ -192,7 +214,7 @@ def stored_in_loops(program: str) -> dict[str, int]:
 def test_a_tile_under_few_lights_is_one_loop(name: str, fog: Any, bits: str, accuracy: Any) -> None:
     """One for tiles whose squared distances are surely in range, one for the others, and no boundary of a stage.
 
-    Nothing is taken out of them and stored, however costly and by how much it is asked for.
+    Nothing is taken out of them and stored, however costly and by how much it is asked for; nothing in them is a call.
     """
     with precision(bits) as dtype:
         scene, samples = scene_under(LIGHTS[name], fog, dtype), samples_of(dtype)
@@ -201,6 +223,7 @@ def test_a_tile_under_few_lights_is_one_loop(name: str, fog: Any, bits: str, acc
         text = program.as_text() or ""
         assert stored_in_loops(text) == {"colors 1": 1, "colors 2": 1}
         assert "stage.seen" not in text and "stage.weights" not in text
+        assert functions_called(text) == set()
 
 
 def test_more_lights_are_a_loop_for_each_few(samples: SampleBuffer) -> None:

@@ -1,8 +1,9 @@
 """Elementary functions from operations that every backend vectorises, each with its own derivative.
 
-XLA's CPU backend calls scalar library routines for pow, atan2 and rsqrt. In float32 the exponential, logarithm and
-arctangent here are minimax polynomials after an exact reduction by bits; in float64 exp and log are XLA's own.
-Errors, float32: `exp` 1 ulp + 1 ulp * |x|, `log_of_alignment` 1.5 ulp, `arctangent` 2 ulp,
+XLA's CPU backend calls scalar library routines for pow, atan2 and rsqrt, and in float64 functions for exp, expm1 and
+log1p that LLVM takes for different calls wherever one is repeated. The exponential, logarithm and arctangent here are
+minimax polynomials after an exact reduction by bits.
+Errors, in float32 and float64: `exp` 1 ulp + 1 ulp * |x|, `log_of_alignment` 1.5 ulp, `arctangent` 2 ulp,
 `reciprocal_root` 1.5 ulp, `reciprocal_in_range` 2 ulp.
 """
 
@@ -19,20 +20,60 @@ _INTEGER = {jnp.dtype("float32"): jnp.int32, jnp.dtype("float64"): jnp.int64}
 _MANTISSA = {jnp.dtype("float32"): 23, jnp.dtype("float64"): 52}
 _BIAS = {jnp.dtype("float32"): 127, jnp.dtype("float64"): 1023}
 
-# Minimax coefficients, lowest order first: exp(r) = 1 + r + r^2 P(r), |r| <= ln(2)/2, relative error 3e-9;
-# log(1 + t) = t - t^2/2 + t^3 P(t), -1/4 <= t <= 1/2, relative error 5e-9;
+# Minimax coefficients, lowest order first: exp(r) = 1 + r + r^2 P(r), |r| <= ln(2)/2, relative errors 3e-9 and 4e-19;
+# log(1 + t) = t - t^2/2 + t^3 P(t), -1/4 <= t <= 1/2, relative errors 5e-9 and 5e-18;
 # atan(t) = t + t^3 P(t^2), |t| <= sqrt(2) - 1, relative errors 7e-10 and 1e-18.
-_EXP = (0.500000009571, 0.166665183063, 0.0416662041216, 0.00836895349286, 0.0013950603204)
-_LOG = (
-    0.333334481377,
-    -0.250001940867,
-    0.199910906528,
-    -0.166437430493,
-    0.144677035057,
-    -0.131868881116,
-    0.105827713406,
-    -0.0461674420411,
-)
+_EXP = {
+    jnp.dtype("float32"): (0.500000009571, 0.166665183063, 0.0416662041216, 0.00836895349286, 0.0013950603204),
+    jnp.dtype("float64"): (
+        0.5,
+        0.16666666666666671293,
+        0.041666666666666671293,
+        0.00833333333332613585,
+        0.0013888888888883748132,
+        0.00019841269874820626558,
+        0.000024801587325547742673,
+        2.755725540020642234e-6,
+        2.7557273643110297443e-7,
+        2.5105217004720744732e-8,
+        2.0914686968086875816e-9,
+    ),
+}
+_LOG = {
+    jnp.dtype("float32"): (
+        0.333334481377,
+        -0.250001940867,
+        0.199910906528,
+        -0.166437430493,
+        0.144677035057,
+        -0.131868881116,
+        0.105827713406,
+        -0.0461674420411,
+    ),
+    jnp.dtype("float64"): (
+        0.33333333333333331483,
+        -0.24999999999999969469,
+        0.20000000000000933698,
+        -0.16666666666685370224,
+        0.14285714285473910534,
+        -0.12499999996330912744,
+        0.11111111131710903199,
+        -0.10000000330110601909,
+        0.090909085163210390235,
+        -0.083333177797958651878,
+        0.076922971391643862882,
+        -0.071432473394333340089,
+        0.066676511662933563018,
+        -0.062454547197642207301,
+        0.058602257914729678767,
+        -0.055592342396107004288,
+        0.054569015893568710573,
+        -0.053744476808477895102,
+        0.045469640020326024255,
+        -0.026115859640381385021,
+        0.007110126854803117645,
+    ),
+}
 _ATAN32 = (
     -0.33333315492180769,
     0.19998488570915717,
@@ -165,8 +206,6 @@ def _ratio_jvp(primals, tangents):
 @jax.custom_jvp
 def exp(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """e^x for x <= 0; what is below the smallest normal number is 0, or subnormal where it is not flushed."""
-    if x.dtype != jnp.float32:
-        return jnp.exp(x)
     power_of_two, fraction = _reduced_exp(x)
     return power_of_two * (1.0 + fraction)
 
@@ -180,8 +219,6 @@ def _exp_jvp(primals, tangents):
 @jax.custom_jvp
 def one_minus_exp(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """1 - e^x for x <= 0, accurate for small x too."""
-    if x.dtype != jnp.float32:
-        return -jnp.expm1(x)
     power_of_two, fraction = _reduced_exp(x)
     return (1.0 - power_of_two) - power_of_two * fraction
 
@@ -191,44 +228,51 @@ def _one_minus_exp_jvp(primals, tangents):
     return one_minus_exp(*primals), -exp(*primals) * tangents[0]
 
 
-_LEAST = -88.02
-"""Rounds to the power 2^-127, which is stored as 0."""
+_LEAST = {jnp.dtype("float32"): -88.02, jnp.dtype("float64"): -709.0}
+"""Rounds to the power 2^-127 or 2^-1023, which is stored as 0."""
+_LOG_2 = {jnp.dtype("float32"): (math.log(2),), jnp.dtype("float64"): (0.69314718036912381649, 1.9082149292705877e-10)}
+"""The parts of ln 2: k times the first is exact in float64; in float32, k times its rounding, 2e-9, is far less than
+that of x."""
 
 
 def _reduced_exp(x: Array) -> tuple[Array, Array]:
     """2^k and f with e^x = 2^k (1 + f), |f| <= sqrt(2) - 1; x is first raised to _LEAST."""
-    x = jnp.where(x < _LEAST, _LEAST, x)
+    x = jnp.where(x < _LEAST[x.dtype], _LEAST[x.dtype], x)
     k, power_of_two = _rounded(x * (1 / math.log(2)))
-    r = x - k * math.log(2)  # k times the rounding of ln 2 to float32, 2e-9, is far less than that of x
-    return power_of_two, r + r * r * polynomial(_EXP, r)
+    r = x
+    for part in _LOG_2[x.dtype]:
+        r = r - k * part
+    return power_of_two, r + r * r * polynomial(_EXP[x.dtype], r)
 
 
-_TO_INTEGER = 1.5 * 2.0**23
-"""A float32 sum of this and a small number has that number, rounded, in its lowest bits."""
-_BITS_OF_ZERO = 0x4B400000
+_TO_INTEGER = {jnp.dtype("float32"): 1.5 * 2.0**23, jnp.dtype("float64"): 1.5 * 2.0**52}
+"""A sum of this and a small number has that number, rounded, in its lowest bits."""
+_BITS_OF_ZERO = {jnp.dtype("float32"): 0x4B400000, jnp.dtype("float64"): 0x4338 << 48}
 
 
 def _rounded(x: Float[Array, "..."]) -> tuple[Array, Array]:
-    """The integer k that is next to x, and 2^k (0 for -127), for float32 -127 <= x <= 127."""
-    bits = _bits(x + _TO_INTEGER)
+    """The integer k that is next to x, and 2^k, for normal powers and the 0 below them."""
+    bits, mantissa = _bits(x + _TO_INTEGER[x.dtype]), _MANTISSA[x.dtype]
     # By way of the bits: XLA would take the sum apart again, and rounding and conversion care for numbers out of range.
-    return (bits - _BITS_OF_ZERO).astype(x.dtype), _from_bits((bits << 23) + (127 << 23), x.dtype)
+    power_of_two = _from_bits((bits << mantissa) + (_BIAS[x.dtype] << mantissa), x.dtype)
+    return (bits - _BITS_OF_ZERO[x.dtype]).astype(x.dtype), power_of_two
+
+
+_THREE_QUARTERS = {jnp.dtype("float32"): 0x3F400000, jnp.dtype("float64"): 0x3FE8 << 48}
+"""Its bits."""
 
 
 @jax.custom_jvp
 def log_of_alignment(alignment: Float[Array, "..."]) -> Float[Array, "..."]:
     """ln(cos a) from cos a where positive, and from cos a - 1 where not: near a = 0 the digits are in the second."""
     near = alignment <= 0
-    if alignment.dtype != jnp.float32:
-        close = jnp.where(near, alignment, 0.0)
-        return jnp.where(near, jnp.log1p(close), jnp.log(jnp.where(near, 1.0, alignment)))
     # cos a = 2^e (1 + t) with 1 + t in [3/4, 3/2)
-    bits = _bits(alignment)
-    e = (bits - 0x3F400000) >> 23
-    t = jnp.where(near, alignment, _from_bits(bits - (e << 23), alignment.dtype) - 1.0)
+    bits, mantissa = _bits(alignment), _MANTISSA[alignment.dtype]
+    e = (bits - _THREE_QUARTERS[alignment.dtype]) >> mantissa
+    t = jnp.where(near, alignment, _from_bits(bits - (e << mantissa), alignment.dtype) - 1.0)
     e = jnp.where(near, 0, e).astype(alignment.dtype)
     t2 = t * t
-    log1p = t + (t2 * t * polynomial(_LOG, t) - 0.5 * t2)
+    log1p = t + (t2 * t * polynomial(_LOG[alignment.dtype], t) - 0.5 * t2)
     return e * math.log(2) + log1p
 
 
@@ -241,7 +285,7 @@ def _log_of_alignment_jvp(primals, tangents):
 def log2_fast(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """log2(x) of a normal number x > 0, in float32 to 1.3e-6 of itself; no derivative is taken of it."""
     if x.dtype != jnp.float32:
-        return jnp.log2(x)
+        return log_of_alignment(x) * (1 / math.log(2))
     bits = _bits(x)
     e = (bits - 0x3F3504F3) >> 23  # x = 2^e (1 + t) with 1 + t in [1/sqrt(2), sqrt(2))
     t = _from_bits(bits - (e << 23), x.dtype) - 1.0
@@ -251,7 +295,7 @@ def log2_fast(x: Float[Array, "..."]) -> Float[Array, "..."]:
 def exp2_fast(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """2^x for x < 1, in float32 to 2.6e-6 of itself, at least 2^-126; no derivative is taken of it."""
     if x.dtype != jnp.float32:
-        return jnp.exp2(x)
+        return exp(x * math.log(2))
     x = jnp.where(x < -126.0, -126.0, x)
     k, power_of_two = _rounded(x)
     return polynomial(_EXP2_FAST, x - k) * power_of_two

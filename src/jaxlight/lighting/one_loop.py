@@ -43,7 +43,8 @@ def _on_planes(*planes: Array, jaxpr: ClosedJaxpr, shape: tuple[int, ...]) -> Ar
     def applied(primitive: Primitive, numbers: Sequence[Any], params: dict[str, Any]) -> Array:
         return primitive.bind(*(_repeated(number, shape) for number in numbers), **params)
 
-    return jnp.stack(unrolled(jaxpr, applied)(*(_repeated(plane, shape) for plane in planes)), axis=-1)
+    results = unrolled(jaxpr, applied)(*(_repeated(plane, shape) for plane in planes))
+    return jnp.stack([_repeated(result, shape) for result in results], axis=-1)
 
 
 def _in_loop(*planes: Array, jaxpr: ClosedJaxpr, shape: tuple[int, ...]) -> Array:
@@ -62,7 +63,7 @@ def _in_loop(*planes: Array, jaxpr: ClosedJaxpr, shape: tuple[int, ...]) -> Arra
 
     own = [_repeated(plane, whole) for plane in planes]
     own = [number if plane.size == 1 else hidden(number) for number, plane in zip(own, planes, strict=True)]
-    results = unrolled(jaxpr, applied)(*own)
+    results = [_repeated(result, whole) for result in unrolled(jaxpr, applied)(*own)]
     value = results[-1]
     for k in reversed(range(count - 1)):
         value = lax.select(which == k, results[k], value)
