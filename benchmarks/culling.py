@@ -1,6 +1,7 @@
 """Many small lights: the cost of thousands of which about 8 reach a sample: `python -m benchmarks.culling --help`.
 
-What it is compared with: the same samples under 8 lights that all reach every sample.
+What it is compared with: the same samples under 8 lights that all reach every sample. They are stored by place, as
+`rasterize` stores them, and once more row by row of the picture, as they come from maps.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from .settings import Settings, say
 from .workload import Arrays, Workload, make_arrays
 
 _OPERATIONS = ("forward", "value_and_gradient")
+_IN_ROWS = dataclasses.replace(JAXLIGHT, label="jaxlight, in rows", options=(("by_place", False),))
 
 
 @dataclasses.dataclass
@@ -37,9 +39,14 @@ def main() -> int:
     options = tyro.cli(Options, description=__doc__)
     samples = 2**13 if options.quick else options.samples
     plan = options.plan()
-    few = Workload(samples, options.cover, radius=100.0, blocks=True)
-    many = [Workload(samples, lights, cover=options.cover, blocks=True) for lights in options.lights]
-    cases = [Case(JAXLIGHT, operation, work) for operation in _OPERATIONS for work in (few, *many)]
+    few = Workload(samples, options.cover, radius=100.0)
+    many = [Workload(samples, lights, cover=options.cover) for lights in options.lights]
+    cases = [
+        Case(entrant, operation, work)
+        for operation in _OPERATIONS
+        for work in (few, *many)
+        for entrant in ((JAXLIGHT,) if work == few else (JAXLIGHT, _IN_ROWS))
+    ]
     measurements = measure(cases, plan, say=say)
     base = {m.case.operation: m for m in measurements if m.case.work == few and m.skipped is None}
     rows, metrics = [], []
@@ -49,8 +56,19 @@ def main() -> int:
         ratio = m.seconds / base[m.case.operation].seconds if m.case.operation in base else None
         rows.append(_row(m, ratio))
         if ratio is not None and m.case.work != few:
-            metrics.append(Metric(f"culling/{m.case.work.lights}/{m.case.operation}", ratio, "lower"))
-    header = ["operation", "lights", "reach a sample", "ms", "x the few", "max error", "compile s", "peak MB"]
+            rows_too = "/in rows" if m.case.entrant == _IN_ROWS else ""
+            metrics.append(Metric(f"culling/{m.case.work.lights}/{m.case.operation}{rows_too}", ratio, "lower"))
+    header = [
+        "operation",
+        "lights",
+        "samples",
+        "reach a sample",
+        "ms",
+        "x the few",
+        "max error",
+        "compile s",
+        "peak MB",
+    ]
     text = "\n\n".join(["# Culling", conditions(plan, measurements), table(header, rows)])
     text = "\n".join([text, "", *skipped_lines(measurements)])
     print(text)
@@ -62,6 +80,7 @@ def _row(m: Measurement, ratio: float | None) -> list[Any]:
     return [
         m.case.operation,
         m.case.work.lights,
+        "by place" if m.case.entrant == JAXLIGHT and m.case.work.cover else "in rows",
         mean_reach(m.case.work, make_arrays(m.case.work)),
         1e3 * m.seconds,
         ratio,
@@ -72,8 +91,8 @@ def _row(m: Measurement, ratio: float | None) -> list[Any]:
 
 
 def mean_reach(work: Workload, arrays: Arrays) -> float:
-    """How many lights reach a sample on average, from about a thousand samples."""
-    position = arrays.position[:, :: max(work.samples // 1024, 1)]
+    """How many lights reach a sample on average, from a thousand samples."""
+    position = arrays.position[:, np.random.default_rng(0).integers(work.samples, size=1000)]
     offset = arrays.lights["location"][:, :, None] - position
     return float(np.mean(np.sum(np.sum(offset**2, axis=1) <= arrays.lights["radius"][:, None] ** 2, axis=0)))
 

@@ -54,7 +54,7 @@ def main() -> int:
     for operation in operations:
         for lights in options.lights:
             samples = 2**14 if options.quick else options.samples
-            work = Workload(samples, lights, cover=options.cover, blocks=options.cover > 0)
+            work = Workload(samples, lights, cover=options.cover)
             shares, nanoseconds = stage_shares(work, operation, options.accuracy, plan.rounds)
             parts.append(f"**{operation}, {lights} lights**: {nanoseconds:.3g} ns per sample and light in loops")
             parts.append(table(["stage", "share", "loops"], _rows(shares)))

@@ -40,8 +40,6 @@ class Workload:
     """Half of the lights: switched off, without colour, or out of reach."""
     shape: Literal["sheet", "sphere"] = "sheet"
     """The sheet, or the half of a unit sphere that faces the viewer."""
-    blocks: bool = False
-    """Samples in the order of blocks of 32 x 32, as a rasteriser stores neighbours together; False: row by row."""
 
     @property
     def light_samples(self) -> int:
@@ -89,7 +87,7 @@ class Arrays(NamedTuple):
 
 def make_arrays(work: Workload) -> Arrays:
     """The arrays of a workload; the same numbers every time."""
-    position, normal = _sheet(work.samples, work.blocks) if work.shape == "sheet" else _sphere(work.samples)
+    position, normal = _sheet(work.samples) if work.shape == "sheet" else _sphere(work.samples)
     material = _material(work)
     sample_color = None
     if work.sample_color:
@@ -110,13 +108,10 @@ def make_arrays(work: Workload) -> Arrays:
     )
 
 
-def _sheet(samples: int, blocks: bool) -> tuple[np.ndarray, np.ndarray]:
+def _sheet(samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Positions on z = 0.3 sin 3x cos 2y over [-2, 2]^2, and unit normals."""
     side = math.isqrt(max(samples - 1, 0)) + 1
     row, column = np.divmod(np.arange(samples), side)
-    if blocks:
-        order = np.lexsort((column, row, column // 32, row // 32))
-        row, column = row[order], column[order]
     x = (column / side * SHEET - SHEET / 2).astype(np.float32).astype(np.float64)
     y = (row / side * SHEET - SHEET / 2).astype(np.float32).astype(np.float64)
     z = 0.3 * np.sin(3 * x) * np.cos(2 * y)

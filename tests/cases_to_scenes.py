@@ -143,5 +143,7 @@ def _samples(cases: Sequence[Case], stack: Any) -> SampleBuffer:
         "tile_surface": jnp.zeros((count, 1), dtype=jnp.int32),
         "tile_low": position[:, 0],
         "tile_high": position[:, 0],
+        "cluster_low": position[:, 0],
+        "cluster_high": position[:, 0],
     }
     return dataclasses.replace(template, **changes)

@@ -64,7 +64,7 @@ def test_lights_that_are_off_add_nothing() -> None:
 
 
 def test_the_reference_leaves_out_only_lights_that_add_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    work = Workload(samples=2500, lights=60, cover=4, blocks=True)
+    work = Workload(samples=2500, lights=60, cover=4)
     arrays = make_arrays(work)
     culled = answer(work, arrays)
     monkeypatch.setattr(reference_module, "_may_reach", lambda lights, position: np.ones(60, bool))

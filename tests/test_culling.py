@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -13,11 +14,12 @@ import pytest
 from fit_scenes import precision
 from jaxlight import Scene, nodes
 from jaxlight.lighting import culling, make_plan, shade
+from jaxlight.lighting.clusters import InLanes, InRows
 from jaxlight.lighting.plan import LightPlan
 from jaxlight.lighting.vectors import Vector
 from jaxlight.lighting.world import lights_in_world
 from jaxlight.raster import SampleBuffer, rasterize
-from jaxlight.raster.samples import LANES, MANY_LIGHTS
+from jaxlight.raster.samples import CLUSTER, MANY_LIGHTS
 
 LIGHTS = 300
 
@@ -109,6 +111,107 @@ def test_more_lights_than_a_tile_collects_at_once(monkeypatch: pytest.MonkeyPatc
     jax.clear_caches()
 
 
+@pytest.fixture
+def few_at_once(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """So few clusters side by side that small tiles have to put theirs into an order."""
+    for arrangement in (InLanes, InRows):
+        monkeypatch.setattr(arrangement, "at_once", 8)
+    jax.clear_caches()
+    yield
+    jax.clear_caches()
+
+
+def colored_bodies() -> tuple[Scene, SampleBuffer]:
+    """Two sheets, one textured and one with vertex colours, both with an alpha that differs from sample to sample.
+
+    They are under many point lights and spots, most of them on one side, and one directional light.
+    """
+    random = np.random.default_rng(9)
+    appearance = nodes.Appearance(material=nodes.Material(specular_color=(0.4, 0.5, 0.6), shininess=0.1))
+    image = nodes.ImageTexture(image=random.uniform(0, 1, (8, 8, 4)))
+    corners = np.array([[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]], float)
+    uv = nodes.TextureCoordinate(point=[(0, 0), (1, 0), (1, 1), (0, 1)])
+    colors = nodes.ColorRGBA(color=random.uniform(0.2, 1, (4, 4)))
+
+    def sheet(**fields: Any) -> nodes.IndexedFaceSet:
+        return nodes.IndexedFaceSet(coord=nodes.Coordinate(point=corners), coord_index=[0, 1, 2, 3, -1], **fields)
+
+    textured = dataclasses.replace(appearance, texture=image)
+    bodies = [
+        nodes.Transform(
+            translation=(-2.1, 0, 0), children=[nodes.Shape(appearance=textured, geometry=sheet(tex_coord=uv))]
+        ),
+        nodes.Transform(
+            translation=(2.1, 0, 0), children=[nodes.Shape(appearance=appearance, geometry=sheet(color=colors))]
+        ),
+    ]
+
+    def place() -> tuple[float, float, float]:
+        return (float(8 * random.uniform() ** 2 - 4), float(random.uniform(-2, 2)), 0.3)
+
+    points = [nodes.PointLight(location=place(), radius=0.7, color=random.uniform(size=3)) for _ in range(70)]
+    spots = [
+        nodes.SpotLight(location=place(), direction=(0.2, 0, -1), radius=1, cut_off_angle=0.9, beam_width=0.5)
+        for _ in range(40)
+    ]
+    sun = nodes.DirectionalLight(direction=(0.3, 0.1, -1), intensity=0.2)
+    view = nodes.Viewpoint(position=(0, 0, 9))
+    scene = Scene.from_nodes([view, *bodies, sun, *points, *spots], dtype=np.float32)
+    return dataclasses.replace(scene, document=None), rasterize(scene, width=80, height=48)
+
+
+def test_clusters_are_shaded_in_any_order(few_at_once: None) -> None:
+    """In the order of how many lights reach them, and all that belongs to a sample goes with it."""
+    scene, samples = colored_bodies()
+    culled = make_plan(scene, samples, free=True)
+    brute = culled
+    for kind in ("point", "spot"):
+        assert getattr(culled, kind).culled
+        brute = brute._replace(**{kind: getattr(brute, kind)._replace(culled=False)})
+    got, wanted = (shade(scene, samples, plan=plan) for plan in (culled, brute))
+    assert np.std(wanted[:, 3]) > 0.05
+    np.testing.assert_allclose(got, wanted, atol=2e-5)
+    weights = jnp.asarray(np.random.default_rng(1).normal(size=(samples.count, 4)), np.float32)
+
+    def total(moving: tuple[Scene, jax.Array, jax.Array], plan: Any) -> jax.Array:
+        scene, position, color = moving
+        return jnp.sum(weights * shade(scene, samples.with_rows(position=position, color=color), plan=plan))
+
+    assert samples.color is not None
+    slope = jax.jit(jax.grad(total), static_argnums=1)
+    slopes = [slope((scene, samples.position, samples.color), plan) for plan in (culled, brute)]
+    for one, other in zip(*map(jax.tree.leaves, slopes), strict=True):
+        np.testing.assert_allclose(one, other, atol=3e-5 * max(1.0, float(jnp.max(jnp.abs(other)))))
+
+
+def test_tiles_smaller_than_a_cluster() -> None:
+    scene, samples = many_lights("point", 0.3)
+    scene = dataclasses.replace(scene, document=None)
+    samples = SampleBuffer.create(samples.position[:40], samples.normal[:40], samples.eye, tile=4)
+    culled, brute = plans(scene, samples, "point")
+    slope = jax.jit(jax.grad(lambda scene, plan: jnp.sum(shade(scene, samples, plan=plan) ** 2)), static_argnums=1)
+    for one, other in zip(*(jax.tree.leaves(slope(scene, plan)) for plan in (culled, brute)), strict=True):
+        np.testing.assert_allclose(one, other, atol=2e-5 * max(1.0, float(jnp.max(jnp.abs(other)))))
+
+
+def test_lists_are_short_whatever_the_order_of_the_samples(few_at_once: None) -> None:
+    """A buffer of rows of pixels, none stored by place: each cluster is a piece of a row."""
+    scene, by_place = many_lights("point", 0.3)
+    by_row = SampleBuffer.create(by_place.position, by_place.normal, by_place.eye, tile=512)
+    plan = make_plan(scene, by_row, free=True)
+    brute = plan._replace(point=plan.point._replace(culled=False))  # type: ignore[union-attr]  # there are point lights
+    np.testing.assert_allclose(shade(scene, by_row, plan=plan), shade(scene, by_row, plan=brute), atol=2e-5)
+    assert scene.point is not None
+    places = np.asarray(scene.point.location)
+
+    def mean_length(samples: SampleBuffer) -> float:
+        low, high = np.asarray(samples.cluster_low).T[:, None], np.asarray(samples.cluster_high).T[:, None]
+        outside = np.maximum(0, np.maximum(low - places, places - high))
+        return float(np.mean(np.sum(np.linalg.norm(outside, axis=2) <= 0.3, axis=1)))
+
+    assert mean_length(by_row) < 2.5 * mean_length(by_place)
+
+
 def test_lights_out_of_scope_are_in_no_list() -> None:
     """Two bodies side by side, each with lights of its own."""
     random = np.random.default_rng(6)
@@ -168,14 +271,15 @@ def test_few_lights_reach_a_tile() -> None:
 @pytest.mark.parametrize("count", [32, 128])
 @pytest.mark.parametrize("share", [0.0, 0.03, 0.4, 1.0])
 def test_lists_name_the_lights_whose_flags_are_set(count: int, share: float) -> None:
-    flags = np.random.default_rng(count).random((count, LANES)) < share
+    clusters, entries = 40, 5
+    flags = np.random.default_rng(count).random((count, clusters)) < share
     words = jnp.concatenate([culling._packed(jnp.asarray(some)) for some in np.split(flags, count // culling.WORD)])
-    for first in range(0, count, culling.CHUNK):
-        entry = first + np.arange(culling.CHUNK)
+    for first in range(0, count, entries):
+        entry = first + np.arange(entries)
         rows = np.asarray(culling._listed_rows(words, jnp.asarray(entry)[:, None]))
-        for lane in range(LANES):
-            listed = np.flatnonzero(flags[:, lane])[first : first + culling.CHUNK]
-            np.testing.assert_array_equal(rows[: len(listed), lane], listed)
+        for cluster in range(clusters):
+            listed = np.flatnonzero(flags[:, cluster])[first : first + entries]
+            np.testing.assert_array_equal(rows[: len(listed), cluster], listed)
 
 
 @pytest.mark.parametrize("count", [1, 31, 32, 33, 64, 250, 1000])
@@ -216,7 +320,9 @@ def test_no_light_that_reaches_is_missed_however_large_the_scene(size: float) ->
         None,
         1,
     )
-    got = np.asarray(culling.may_reach(lights, (Vector(*jnp.asarray(low)), Vector(*jnp.asarray(high)))))
+    largest = jnp.max(jnp.abs(jnp.stack([low, high])))
+    bounds = culling.Bounds(Vector(*jnp.asarray(low)), Vector(*jnp.asarray(high)), largest)
+    got = np.asarray(culling.may_reach(lights, bounds))
     exact = [np.float64(array) for array in (place, low.T, high.T, radius)]
     outside = np.maximum(0, np.maximum(exact[1] - exact[0][:, None], exact[0][:, None] - exact[2]))
     reaches = np.linalg.norm(outside, axis=2) <= exact[3][:, None]
@@ -225,18 +331,19 @@ def test_no_light_that_reaches_is_missed_however_large_the_scene(size: float) ->
         assert np.mean(got != reaches) < 1e-3
 
 
-def size_of_lanes(samples: SampleBuffer) -> np.ndarray:
-    """[blocks, 3, tiles of a block, lanes]: how far the samples reach that a tile has in a lane."""
-    rows = samples.tile // LANES
-    lanes = np.asarray(samples.position_planes).reshape(-1, 3, samples.group, rows, LANES)
-    return lanes.max(axis=3) - lanes.min(axis=3)
+def size_of_clusters(samples: SampleBuffer) -> np.ndarray:
+    """[3, clusters]"""
+    return np.asarray(samples.cluster_high - samples.cluster_low)
 
 
-def test_the_samples_of_a_lane_are_neighbours() -> None:
+def test_the_samples_of_a_cluster_are_neighbours() -> None:
     """And rasterising a scene of many lights stores them so."""
     _, samples = many_lights("point", 0.3)
-    extent = np.max(size_of_lanes(samples), axis=1)
-    assert extent.max() < 3 * 4 / 64  # two samples a lane, 4 / 64 apart
+    planes = np.asarray(samples.position_planes)
+    own = planes.swapaxes(0, 1).reshape(3, -1, CLUSTER)
+    np.testing.assert_array_equal(samples.cluster_low, own.min(axis=2))
+    np.testing.assert_array_equal(samples.cluster_high, own.max(axis=2))
+    assert size_of_clusters(samples)[:2].max() < 4 * 4 / 63 + 1e-5  # four by four samples
 
     ball = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()), geometry=nodes.Sphere())
     few, many = (
@@ -246,6 +353,6 @@ def test_the_samples_of_a_lane_are_neighbours() -> None:
     np.testing.assert_array_equal(np.sort(few.pixel), np.sort(many.pixel))
 
     def spread(samples: SampleBuffer) -> float:
-        return float(np.mean(np.linalg.norm(size_of_lanes(samples), axis=1)))
+        return float(np.mean(np.linalg.norm(size_of_clusters(samples), axis=0)))
 
-    assert spread(many) < spread(few) / 2
+    assert spread(many) < 0.75 * spread(few)

@@ -13,7 +13,7 @@ import pytest
 
 from fit_scenes import precision
 from jaxlight import Scene, nodes
-from jaxlight.lighting import make_plan, one_tile, ordinary, prepared, shade
+from jaxlight.lighting import make_plan, ordinary, prepared, shade, tile_inputs
 from jaxlight.lighting.vectors import Vector
 from jaxlight.lighting.world import WorldLights, lights_in_world
 from jaxlight.raster import SampleBuffer
@@ -107,7 +107,7 @@ def test_ordinary_tiles_have_the_colors_and_derivatives_of_the_form_with_care(
         assert bool(jnp.all(prepared.prepare(scene, samples, plan).ordinary))
         assert plan.culled == (kind == "culled")
         short, short_slopes = shade(scene, samples), derivatives(scene, samples)
-        monkeypatch.setattr(one_tile, "for_all_mapped", jnp.zeros_like)
+        monkeypatch.setattr(tile_inputs, "for_all_mapped", jnp.zeros_like)
         jax.clear_caches()
         careful, careful_slopes = shade(scene, samples), derivatives(scene, samples)
         jax.clear_caches()

@@ -80,6 +80,7 @@ class JaxlightShade(Contender):
         materials: how many Material nodes, alike, share the samples.
         lighting: fields of LightingOptions, as pairs.
         by_samples: gradients are by positions, normals and colours of all samples, too.
+        by_place: how samples are stored; None: as `rasterize` stores them.
     """
 
     def __init__(
@@ -92,12 +93,13 @@ class JaxlightShade(Contender):
         materials: int = 1,
         lighting: Any = (),
         by_samples: bool = False,
+        by_place: bool | None = None,
     ) -> None:
         dtype = jnp.dtype(precision)
         # Half-precision samples are shaded with single-precision fields.
         self._scene = scene_of(work, arrays, jnp.promote_types(dtype, jnp.float32), materials)
-        # As `rasterize` stores samples under many small lights.
-        self._samples = samples_of(arrays, dtype, tile, materials, by_place=work.cover > 0)
+        by_place = work.cover > 0 if by_place is None else by_place
+        self._samples = samples_of(arrays, dtype, tile, materials, by_place)
         self._options = LightingOptions(**dict(lighting))
         self._skip, self._by_samples = skip, by_samples
         self._kind = work.kind

@@ -15,10 +15,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..lighting.at_once import at_once
-from ..lighting.one_tile import Color, Run, tile_color, tile_of
+from ..lighting.one_tile import Color, tile_color
 from ..lighting.plan import Plan
 from ..lighting.prepared import Prepared, prepare
 from ..lighting.stages import Stage
+from ..lighting.tile_inputs import Run, tile_of
 from ..lighting.tiles import Share, surface_runs
 from ..lighting.unstored import Inlined, stored
 from .parameters import World

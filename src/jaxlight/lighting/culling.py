@@ -1,8 +1,9 @@
 """Many lights with a small reach: samples are shaded with those only that may reach them, exactly.
 
-A light that does not reach a sample contributes exactly 0 to it, so leaving it out changes nothing. Each tile collects
-the lights that may reach it, by radius and, for spots, by cone; from these each lane of samples draws its own list, and
-the lanes work through their lists side by side, CHUNK entries at a time, until the longest is done.
+A light that does not reach a sample contributes exactly 0 to it, so leaving it out changes nothing. Some tiles together
+collect the lights that may reach them, by radius and, for spots, by cone; from these each cluster, a few neighbouring
+samples, draws its own list. Clusters with lists of about the same length work through them side by side, a few entries
+at a time, until the longest is done: that is why samples are read in the order of those lengths.
 
 Who reaches whom is kept as one bit a light: numbers are packed, counted and searched WORD lights at a time.
 """
@@ -10,38 +11,45 @@ Who reaches whom is kept as one bit a light: numbers are packed, counted and sea
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.experimental.layout import Layout, with_layout_constraint
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .elementary import arctangent
 from .ordinary import for_all_mapped, ordinary_lights
-from .picking import picked
 from .stages import Stage
 from .terms import Received
 from .vectors import Vector, cross, dot
 from .world import WorldLights
 
-BATCH = 128
+BATCH = 512
 """Lights that a tile collects at once: if more reach it, lists are drawn and worked through several times."""
-
-CHUNK = 6
-"""Entries of its list that a lane works through at once."""
 
 WORD = 32
 """Bits of a number. Divides BATCH."""
 
-WithLight = Callable[[Stage, Received | None, WorldLights], Received]
-"""From what was received so far what it is with some lights."""
+WithLight = Callable[[Stage, Received | None, WorldLights, Int[Array, ""] | None], Received]
+"""From what some clusters, from that one on (None: all), received so far what they do with some lights."""
 
-Bounds = tuple[Vector, Vector]
-"""Lowest and highest coordinates of groups of samples; planes [groups]."""
+
+class Bounds(NamedTuple):
+    """Of groups of samples."""
+
+    low: Vector
+    """Lowest coordinates; planes [groups]."""
+    high: Vector
+    largest: Float[Array, ""]
+    """No coordinate is larger, whatever its sign."""
+
+    def of(self, order: Int[Array, " groups"]) -> Bounds:
+        """With the groups in that order."""
+        low, high = (Vector(*(component[order] for component in ends)) for ends in (self.low, self.high))
+        return self._replace(low=low, high=high)
 
 
 class Extent(NamedTuple):
@@ -51,8 +59,43 @@ class Extent(NamedTuple):
     """Lowest coordinates."""
     high: Float[Array, "3"]
     """Highest coordinates."""
+    clusters: Bounds
+    """Of the tile's clusters."""
     viewer: Vector | None
     """Where the viewer is; None: it does not matter where lights are seen from."""
+
+
+class Found(NamedTuple):
+    """The lights that may reach a tile."""
+
+    words: UInt32[Array, " words"]
+    ends: Int[Array, " words"]
+    """How many there are up to the end of each word."""
+    lists: UInt32[Array, "words clusters"]
+    """Which of those that are collected first may reach each cluster."""
+
+    def of(self, order: Int[Array, " clusters"]) -> Found:
+        """With the clusters in that order."""
+        return self._replace(lists=self.lists[:, order])
+
+
+def find_near(stage: Stage, lights: WorldLights, in_scope: Bool[Array, " lights"] | None, extent: Extent) -> Found:
+    """The lights, of those in scope (None: all), that may reach the samples of a tile."""
+    words = _packed(stage(_reaches_tile, *lax.stop_gradient((lights, in_scope, extent))))
+    found = Found(words, jnp.cumsum(_count_of_flags(words)), words[:, None])
+    first = _batch(lights, found, jnp.zeros((), jnp.int32))
+    return found._replace(lists=_lists(stage, *first, extent.clusters))
+
+
+def by_length(found: Sequence[Found]) -> Int[Array, " clusters"]:
+    """The clusters in the order of how many lights may reach them."""
+    length = reduce(jnp.add, [_lengths(own.lists) for own in found])
+    clusters = length.shape[0]
+    return jnp.sort(length * clusters + jnp.arange(clusters, dtype=length.dtype)) % clusters
+
+
+def _lengths(lists: UInt32[Array, "words clusters"]) -> Int[Array, " clusters"]:
+    return jnp.sum(_count_of_flags(lists), axis=0)
 
 
 def received_from_near(
@@ -60,24 +103,36 @@ def received_from_near(
     with_light: WithLight,
     total: Received | None,
     lights: WorldLights,
-    in_scope: Bool[Array, " lights"] | None,
-    position: Vector,
+    found: Found,
     extent: Extent,
 ) -> Received:
-    """`total` and the light of those lights, of those in scope (None: all), that reach the samples of a tile."""
-    reaches = stage(_reaches_tile, *lax.stop_gradient((lights, in_scope, extent)))
-    words = _packed(reaches)
-    ends = jnp.cumsum(_count_of_flags(words))
-    count = ends[-1]
+    """`total` and the light of those lights that were found."""
+    at_once = _collected_at_once(lights)
 
     def with_batch(total: Received | None, number: Array) -> Received:
-        first = number * BATCH
-        rows = _rows_of_flags(words, ends, first + jnp.arange(BATCH), lights.count)
-        batch = lights.with_planes(lambda plane: plane[rows], lambda colors: colors[:, rows])
-        length = jnp.minimum(count - first, BATCH)
-        return _received_from_listed(stage, with_light, total, batch, length, position, extent)
+        batch, count = _batch(lights, found, number)
+        lists = found.lists
+        if lights.count > at_once:
+            lists = lax.cond(number == 0, lambda: lists, lambda: _lists(stage, batch, count, extent.clusters))
+        return _received_from_listed(stage, with_light, total, batch, count, lists, extent)
 
-    return stage.sum(with_batch, total, _parts(count, BATCH))
+    return stage.sum(with_batch, total, 1 if lights.count <= at_once else _parts(found.ends[-1], at_once))
+
+
+def _batch(lights: WorldLights, found: Found, number: Int[Array, ""]) -> tuple[WorldLights, Int[Array, ""]]:
+    """As many of the lights that were found as are collected at once, filled up with any, and a black one; how many
+    were found of them."""
+    size = _collected_at_once(lights)
+    first = number * size
+    rows = _rows_of_flags(found.words, found.ends, first + jnp.arange(size + 1), lights.count)
+    colored = (jnp.arange(size + 1) < size)[:, None, None]
+    batch = lights.with_planes(lambda plane: plane[rows], lambda colors: jnp.where(colored, colors[:, rows], 0.0))
+    return batch, jnp.minimum(found.ends[-1] - first, size)
+
+
+def _collected_at_once(lights: WorldLights) -> int:
+    """Whole words."""
+    return min(BATCH, -(-lights.count // WORD) * WORD)
 
 
 def _reaches_tile(
@@ -89,13 +144,13 @@ def _reaches_tile(
 
 def _bounds(extent: Extent) -> Bounds:
     """Of the tile, as those of a single group."""
-    return Vector(*extent.low[:, None]), Vector(*extent.high[:, None])
+    return Bounds(Vector(*extent.low[:, None]), Vector(*extent.high[:, None]), extent.clusters.largest)
 
 
 def may_reach(lights: WorldLights, bounds: Bounds) -> Bool[Array, "lights groups"]:
     """False only for lights that surely reach no sample within the bounds."""
     assert lights.place is not None
-    low, high = bounds
+    low, high, largest = bounds
     place = Vector(*(component[:, 0] for component in lights.place))
     reaches = jnp.ones((lights.count, low.x.shape[0]), dtype=bool)
     # Rounding of the bounds, of places and of distances in the equation, generously.
@@ -105,7 +160,7 @@ def may_reach(lights: WorldLights, bounds: Bounds) -> Bool[Array, "lights groups
         if lights.unit_length is not None:
             radius = radius * lights.unit_length[:, 0]
         outside = [jnp.maximum(jnp.maximum(a - c, c - b), 0.0) for a, b, c in zip(low, high, place, strict=True)]
-        margin = slack * (_largest((*low, *high)) + _largest(place))
+        margin = slack * (largest + _largest(place))
         within = jnp.square(radius * (1 + slack) + margin) + jnp.finfo(low.x.dtype).tiny
         # Squares that overflow or underflow say that a light reaches, or say it rightly that it does not.
         reaches &= ~(sum(jnp.square(c) for c in outside) > within)
@@ -122,7 +177,7 @@ def _largest(components: tuple[Array, ...] | Vector | list[Array]) -> Array:
 
 def _in_cone(place: Vector, axis: Vector, cut_off_angle: Array, bounds: Bounds) -> Bool[Array, "lights groups"]:
     """Whether a spot's cone may meet the sphere around the bounds."""
-    low, high = bounds
+    low, high, _ = bounds
     half = (high - low).scaled(jnp.asarray(0.5, low.x.dtype))
     radius = jnp.sqrt(dot(half, half))
     to_center = (low + half) - place
@@ -141,45 +196,47 @@ def _received_from_listed(
     total: Received | None,
     lights: WorldLights,
     count: Int[Array, ""],
-    position: Vector,
+    lists: UInt32[Array, "words clusters"],
     extent: Extent,
 ) -> Received:
-    """`total` and the light of the first `count` lights, each lane taking only those that may reach its samples."""
+    """`total` and the light of the first `count` lights, each cluster taking those on its list; the last is black."""
     ordinary = stage(_all_ordinary, *lax.stop_gradient((lights, count, extent)))
     stage = dataclasses.replace(stage, ordinary=stage.ordinary & for_all_mapped(ordinary))
-    words = _lists(stage, lights, count, position)
-    length = jnp.sum(_count_of_flags(words), axis=0)
+    length = _lengths(lists)
+    entries, at_once = stage.clusters.entries, stage.clusters.at_once
+    planes, tree = jax.tree.flatten(lights)
+    pick = stage.clusters.picking(stage, [plane[..., 0, 0] for plane in planes])
 
-    def with_chunk(total: Received | None, number: Array) -> Received:
-        entry = (number * CHUNK + jnp.arange(CHUNK))[:, None]
-        row = stage(_listed_rows, words, entry)
+    def of_some(first: Int[Array, ""] | None, total: Received | None) -> Received:
+        own_lists, own_length = lists, length
+        if first is not None:
+            own_lists, own_length = (lax.dynamic_slice_in_dim(own, first, at_once, -1) for own in (lists, length))
 
-        def listed_lights() -> WorldLights:
-            numbers, tree = jax.tree.flatten(lights)
-            some = tree.unflatten(picked([plane[..., 0, 0] for plane in numbers], row))
-            return dataclasses.replace(some, color=jnp.where(entry < length, some.color, 0.0))
+        def with_entries(total: Received | None, number: Array) -> Received:
+            entry = (number * entries + jnp.arange(entries))[:, None]
+            row = jnp.where(entry < own_length, stage(_listed_rows, own_lists, entry), lights.count - 1)
+            return with_light(stage, total, tree.unflatten(pick(row)), first)
 
-        some = stage(listed_lights)
-        some = some.with_planes(partial(_with_axis, axis=1), partial(_with_axis, axis=2))
-        return with_light(stage, total, some)
+        return stage.sum(with_entries, total, _parts(jnp.max(own_length), entries))
 
-    return stage.sum(with_chunk, total, _parts(jnp.max(length), CHUNK))
+    (clusters,) = length.shape
+    if clusters <= at_once:
+        return of_some(None, total)
+    return stage.clusters.in_parts(of_some, total, jnp.arange(0, clusters, at_once))
 
 
-def _lists(stage: Stage, lights: WorldLights, count: Int[Array, ""], position: Vector) -> UInt32[Array, "words lanes"]:
-    """Which of the first `count` lights may reach each lane's samples."""
-    lights, position = lax.stop_gradient((lights, position))
-    low = Vector(*(jnp.min(component, axis=0) for component in position))
-    high = Vector(*(jnp.max(component, axis=0) for component in position))
+def _lists(stage: Stage, lights: WorldLights, count: Int[Array, ""], clusters: Bounds) -> UInt32[Array, "words lanes"]:
+    """Which of the first `count` lights may reach each cluster's samples."""
+    lights, clusters = lax.stop_gradient((lights, clusters))
 
     def word(number: Array) -> UInt32[Array, " lanes"]:
         def may() -> Bool[Array, "lights lanes"]:
             some = lights.with_planes(partial(_word_of, number, axis=0), partial(_word_of, number, axis=1))
-            return may_reach(some, (low, high)) & (number * WORD + jnp.arange(WORD) < count)[:, None]
+            return may_reach(some, clusters) & (number * WORD + jnp.arange(WORD) < count)[:, None]
 
         return stage(_packed, stage(may))[0]
 
-    nothing = jnp.zeros((lights.count // WORD, low.x.shape[0]), jnp.uint32)
+    nothing = jnp.zeros((lights.count // WORD, clusters.low.x.shape[0]), jnp.uint32)
     return lax.fori_loop(0, _parts(count, WORD), lambda number, words: words.at[number].set(word(number)), nothing)
 
 
@@ -187,15 +244,9 @@ def _word_of(number: Int[Array, ""], planes: Array, axis: int) -> Array:
     return lax.dynamic_slice_in_dim(planes, number * WORD, WORD, axis=axis)
 
 
-def _with_axis(planes: Array, axis: int) -> Array:
-    """The planes with an axis for rows, laid out as all planes are, or else XLA would copy them in every stage."""
-    planes = jnp.expand_dims(planes, axis)
-    return with_layout_constraint(planes, Layout(tuple(range(planes.ndim))))
-
-
 def _all_ordinary(lights: WorldLights, count: Int[Array, ""], extent: Extent) -> Bool[Array, ""]:
     """Whether a tile is ordinary as far as the first `count` lights go."""
-    found = ordinary_lights(lights, extent.viewer, *_bounds(extent))[:, 0]
+    found = ordinary_lights(lights, extent.viewer, *_bounds(extent)[:2])[:, 0]
     return jnp.all(found | (jnp.arange(lights.count) >= count))
 
 

@@ -46,8 +46,10 @@ class Prepared(eqx.Module):
 def prepare(scene: Scene, samples: SampleBuffer, plan: Plan, together: int = 1) -> Prepared:
     """Materials, lights and fog as the tiles of these samples read them, `together` of them at once."""
     dtype = compute_dtype(samples)
-    # As many rows however many tiles: sums of more are slower.
+    # As many rows however many tiles: sums of more are slower. Clusters have a lane each.
     lanes = min(together * lanes_of(samples), samples.tile)
+    if plan.culled:
+        lanes = together * samples.tile // samples.cluster
     kinds = [(scene.directional, plan.directional), (scene.point, plan.point), (scene.spot, plan.spot)]
     world: list[WorldLights | None] = []
     shading_all: list[WorldLights] = []

@@ -18,6 +18,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from .clusters import Arrangement, InRows
 from .one_loop import in_one_loop
 from .stages import Stage
 from .unstored import Unstored, is_unstored, stored
@@ -48,7 +49,12 @@ class SampleLoops(Stage):
     """Puts stages together into loops over samples; nothing is differentiated."""
 
     stacks: ClassVar[bool] = False
+    clusters: ClassVar[type[Arrangement]] = InRows
     lanes: int = eqx.field(static=True, kw_only=True)
+
+    @property
+    def in_planes(self) -> Stage:
+        return Stage(self.always, ordinary=self.ordinary)
 
     def lights_at_once(self, lights: int, samples: int) -> int:
         return UNROLLED

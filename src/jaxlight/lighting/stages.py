@@ -21,6 +21,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Int
 
 from .at_once import at_once
+from .clusters import Arrangement, InLanes
 from .running_sum import running_sum
 from .stage_derivatives import Forms, How, each, name_of
 from .unstored import stored
@@ -43,6 +44,7 @@ class Stage(eqx.Module):
     """Whether functions of which there are two forms are evaluated in that without care (see `ordinary`)."""
     stacks: ClassVar[bool] = True
     """Whether some stages read several components at once."""
+    clusters: ClassVar[type[Arrangement]] = InLanes
     forward: bool = eqx.field(static=True, default=False, kw_only=True)
     """Whether derivatives are only taken in forward mode, where none are summed over samples."""
 
@@ -54,6 +56,11 @@ class Stage(eqx.Module):
     def which(self) -> Int[Array, ""]:
         """Which of two forms is evaluated: 1, that for ordinary tiles, or 2, the one with care."""
         return jnp.where(self.ordinary, 1, 2) * self.always
+
+    @property
+    def in_planes(self) -> Stage:
+        """For what is kept as planes."""
+        return self
 
     def unreached(self) -> Bool[Array, ""]:
         """A value for branches that are never taken.
@@ -67,9 +74,14 @@ class Stage(eqx.Module):
         """How many of so many lights are evaluated at once for so many samples."""
         return lights if lights * samples <= LARGEST_PLANE else max(1, CHUNK // samples)
 
-    def sum(self, term: Callable[[Any, Array], Any], total: Any, count: Int[Array, ""]) -> Any:
+    def sum(self, term: Callable[[Any, Array], Any], total: Any, count: Int[Array, ""] | int) -> Any:
         """The sum of `total` (None: 0) and `count` terms: term(so far, number), or so far and term(None, number)."""
-        own = running_sum(lambda number: stored(term(None, number)), count)
+
+        def own_term(number: Array) -> Any:
+            return stored(term(None, number))
+
+        one = isinstance(count, int) and count == 1
+        own = own_term(jnp.zeros((), jnp.int32)) if one else running_sum(own_term, jnp.asarray(count, jnp.int32))
         return own if total is None else jax.tree.map(jnp.add, stored(total), own)
 
     def sum_over(self, term: Callable[[Self, Any, Any], Any], total: Any, parts: Any) -> Any:

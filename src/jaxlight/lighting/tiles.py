@@ -16,11 +16,12 @@ from jaxtyping import Array, Float, Int
 
 from ..raster.samples import SampleBuffer
 from ..scene import Scene, Surface
-from .one_tile import Color, Run, rows_of_tiles, tile_color
+from .one_tile import Color, rows_of_tiles, tile_color
 from .plan import Plan
 from .prepared import Prepared, compute_dtype, on_one_lane
 from .stages import PLANE
 from .surface import sampled_texture
+from .tile_inputs import Run
 
 VERY_FEW = 4
 """Lights under which the samples of a run are evaluated in one loop: tile by tile, what a step of the loop over tiles
@@ -46,8 +47,8 @@ def _alike(a: Surface, b: Surface) -> bool:
 
 def tiles_at_once(scene: Scene, samples: SampleBuffer, plan: Plan) -> int:
     """How many neighbouring tiles are evaluated together: several where few lights would leave the planes short."""
-    if plan.culled:  # only lights near a tile are evaluated
-        return 1
+    if plan.culled:
+        return samples.group
     lights, count = max(1, *_lights_by_kind(scene, plan)), samples.group
     while count > 1 and count * samples.tile * lights > PLANE:
         count //= 2
@@ -95,7 +96,7 @@ def rows_of_run(
     run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, share: Share | None, *, one_loop: bool
 ) -> Float[Array, "tiles tile 4"]:
     """Red, green, blue and alpha of the tiles of a run or of a share of them; not to be differentiated."""
-    single, count = on_one_lane(prepared), 1 if plan.culled else samples.group
+    single, count = on_one_lane(prepared), samples.group
     steps = (run.stop - run.start) // count
     numbers = jnp.arange(steps) if share is None else share.of(steps)
     if one_loop:
@@ -121,7 +122,7 @@ def color_and_alpha_of_run(
 
     def planes_of(color: Color) -> Color:
         # Row by row, as they are computed, or XLA would divide to find the place of every number.
-        own = color.rgb.reshape(3, count, -1, prepared.lanes)
+        own = color.rgb.reshape(3, count, -1, min(prepared.lanes, samples.tile))
         # What has an axis of length 1 would be copied in reverse mode.
         return color._replace(rgb=jnp.swapaxes(own, 0, 1) if count > 1 else own[:, 0])
 

@@ -24,6 +24,8 @@ MANY_LIGHTS = 32
 """From so many lights of a kind on, samples are shaded with those only that reach them, and stored by place."""
 LANES = 64
 """Columns in which a tile's samples stand; sample i of a tile is in lane i % LANES."""
+CLUSTER = 16
+"""Samples, one after the other in a tile, that share a list of the lights that may reach them."""
 
 
 class SampleBuffer(eqx.Module):
@@ -58,6 +60,9 @@ class SampleBuffer(eqx.Module):
     tile_low: Float[Array, "3 tiles"]
     """Lowest coordinates of the samples of each tile; `tile_high`: the highest."""
     tile_high: Float[Array, "3 tiles"]
+    cluster_low: Float[Array, "3 clusters"]
+    """Lowest coordinates of the samples of each cluster; `cluster_high`: the highest."""
+    cluster_high: Float[Array, "3 clusters"]
     runs: tuple[tuple[int, int, int], ...] = eqx.field(static=True)
     """(surface, first tile, tile after the last) in storage order."""
     count: int = eqx.field(static=True)
@@ -102,8 +107,8 @@ class SampleBuffer(eqx.Module):
             camera_to_world: [3, 3], rotation from camera axes to the world.
             pixel_to_world: [3, 3], (u, v, 1) in pixels to the direction of its ray in world axes.
             tile: samples a tile, a power of two (default: chosen from N).
-            by_place: store neighbours in space in the same tile and lane, whatever the order of the rows. Worth it for
-                many lights with a small radius, of which a lane then meets few.
+            by_place: store neighbours in space together, whatever the order of the rows. Worth it for many lights with
+                a small radius, of which a cluster of samples then meets few.
             dtype: float type of the arrays (default: JAX's).
 
         Raises:
@@ -153,6 +158,7 @@ class SampleBuffer(eqx.Module):
             return None if values is None else np.where(layout.is_padding, padding, values[layout.source])
 
         in_tiles = position[layout.source].reshape(-1, layout.tile, 3)
+        in_clusters = in_tiles.reshape(-1, min(CLUSTER, layout.tile), 3)
         index = None if texel_index is None else np.ascontiguousarray(texel_index[layout.source].T)
         pixels = slots(pixel, (width or 0) * (height or 0))
         share = slots(coverage, 0.0)
@@ -173,6 +179,8 @@ class SampleBuffer(eqx.Module):
             tile_surface=jnp.asarray(layout.tile_surface, dtype=jnp.int32),
             tile_low=jnp.asarray(in_tiles.min(axis=1).T, dtype=dtype),
             tile_high=jnp.asarray(in_tiles.max(axis=1).T, dtype=dtype),
+            cluster_low=jnp.asarray(in_clusters.min(axis=1).T, dtype=dtype),
+            cluster_high=jnp.asarray(in_clusters.max(axis=1).T, dtype=dtype),
             runs=layout.runs,
             count=count,
             tile=layout.tile,
@@ -216,9 +224,10 @@ class SampleBuffer(eqx.Module):
                 raise ValueError(f"SampleBuffer: {name}: expected shape {list(expected)}, got {list(jnp.shape(own))}")
             changed[f"{name}_planes"] = self._with_rows_in(planes, jnp.asarray(own, planes.dtype))
         if position is not None:
-            tiles = (self.tile_surface.shape[0], self.tile)
-            places = lax.stop_gradient(jnp.moveaxis(changed["position_planes"], 1, 0)).reshape(3, *tiles)
-            changed |= {"tile_low": places.min(axis=2), "tile_high": places.max(axis=2)}
+            places = lax.stop_gradient(jnp.moveaxis(changed["position_planes"], 1, 0))
+            for name, size in (("tile", self.tile), ("cluster", self.cluster)):
+                own = places.reshape(3, -1, size)
+                changed |= {f"{name}_low": own.min(axis=2), f"{name}_high": own.max(axis=2)}
         return dataclasses.replace(self, **changed)
 
     def _with_rows_in(self, planes: Array, rows: Array) -> Array:
@@ -242,7 +251,8 @@ class SampleBuffer(eqx.Module):
             return jnp.moveaxis(row.reshape(*row.shape[:-1], self.tile_surface.shape[0] // count, -1), -2, 0)
 
         planes = {name: cut for name in ("position_planes", "normal_planes", "color_planes")}
-        rows = {name: cut_row for name in ("texel_index", "texel_weight", "tile_surface", "tile_low", "tile_high")}
+        bounds = ("tile_low", "tile_high", "cluster_low", "cluster_high")
+        rows = {name: cut_row for name in ("texel_index", "texel_weight", "tile_surface", *bounds)}
         found = {name: (own, getattr(self, name)) for name, own in (planes | rows).items()}
         return {name: own(array) for name, (own, array) in found.items() if array is not None}
 
@@ -255,6 +265,11 @@ class SampleBuffer(eqx.Module):
     def slots(self) -> int:
         """Places in storage: samples and padding."""
         return self.tile_surface.shape[-1] * self.tile
+
+    @property
+    def cluster(self) -> int:
+        """Samples of a cluster."""
+        return min(CLUSTER, self.tile)
 
     @property
     def position(self) -> Float[Array, "samples 3"]:
@@ -311,17 +326,13 @@ def _layout(surface: np.ndarray, tile: int | None, position: np.ndarray | None =
     last_tile = np.cumsum(tiles)
     first_tile = last_tile - tiles
     first_sample = np.cumsum(counts) - counts
-    lanes = min(LANES, tile)
     if position is not None:
         for first, count in zip(first_sample, counts, strict=True):
             mine = order[first : first + count]
-            order[first : first + count] = mine[_neighbours_together(position[mine], tile // lanes)]
+            order[first : first + count] = mine[_neighbours_together(position[mine], min(CLUSTER, tile))]
     slots = np.arange(tiles.sum() * tile)
     run = np.repeat(np.arange(len(rows)), tiles * tile)
     within = slots - first_tile[run] * tile
-    if position is not None:  # lane by lane, not row by row
-        first, row, lane = within // tile * tile, within % tile // lanes, within % lanes
-        within = first + lane * (tile // lanes) + row
     source = order[first_sample[run] + np.minimum(within, counts[run] - 1)]
     is_padding = within >= counts[run]
     slot = np.empty(len(surface), dtype=np.int64)
