@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -260,6 +261,22 @@ def reaching(scene: Scene, samples: SampleBuffer, radius: float) -> np.ndarray:
     places, low, high = np.asarray(scene.point.location), np.asarray(samples.tile_low), np.asarray(samples.tile_high)
     outside = np.maximum(0, np.maximum(low.T[:, None] - places, places - high.T[:, None]))
     return np.sum(np.linalg.norm(outside, axis=2) <= radius, axis=1)
+
+
+def test_a_plan_made_outside_is_right_for_other_numbers() -> None:
+    """Of all lights, evaluated without lists: inside jit they may go anywhere."""
+    scene, samples = many_lights("point", 30.0)
+    scene = dataclasses.replace(scene, document=None)
+    plan = make_plan(scene, samples, free=True)
+    assert plan.point is not None and not plan.point.culled
+    assert scene.point is not None
+    moved = eqx.tree_at(
+        lambda scene: (scene.point.radius, scene.point.location),
+        scene,
+        (jnp.full(LIGHTS, 0.4, np.float32), scene.point.location[::-1] * 0.9),
+    )
+    got = jax.jit(lambda scene: shade(scene, samples, plan=plan))(moved)
+    np.testing.assert_allclose(got, shade(moved, samples), atol=2e-5)
 
 
 def test_few_lights_reach_a_tile() -> None:
