@@ -299,6 +299,15 @@ def test_lists_name_the_lights_whose_flags_are_set(count: int, share: float) -> 
             np.testing.assert_array_equal(rows[: len(listed), cluster], listed)
 
 
+def test_clusters_go_by_the_length_of_all_their_lists() -> None:
+    """Each once; of equal length, as they lie."""
+    flags = [np.random.default_rng(seed).random((culling.WORD, 70)) < 0.3 for seed in (1, 2)]
+    nothing = jnp.zeros(1, jnp.int32)
+    found = [culling.Found(nothing, nothing, culling._packed(jnp.asarray(some))) for some in flags]
+    length = sum(some.sum(axis=0) for some in flags)
+    np.testing.assert_array_equal(culling.by_length(found), np.argsort(length, kind="stable"))
+
+
 @pytest.mark.parametrize("count", [1, 31, 32, 33, 64, 250, 1000])
 @pytest.mark.parametrize("share", [0.0, 0.03, 0.4, 1.0])
 def test_batches_hold_every_light_whose_flag_is_set_once(count: int, share: float) -> None:

@@ -155,6 +155,7 @@ class InRows:
 
 
 _VECTOR = 16
+"""Numbers of float32 that a processor copies at once."""
 
 
 def inverse(order: Int[Array, " clusters"]) -> Int[Array, " clusters"]:
