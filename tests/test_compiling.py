@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -24,7 +28,9 @@ def asked_anew() -> Iterator[None]:
 
 def test_options_that_xla_does_not_know_are_not_asked_for(asked_anew: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiling, "WANTED", {"xla_cpu_no_such_option": 1, "xla_cpu_prefer_vector_width": 512})
-    assert compiler_options() == {"xla_cpu_prefer_vector_width": 512}
+    options = compiler_options()
+    assert options.pop("xla_disable_hlo_passes")
+    assert options == {"xla_cpu_prefer_vector_width": 512}
 
 
 def scene_and_samples(lights: int, count: int = 2**13) -> tuple[Scene, SampleBuffer]:
@@ -34,16 +40,55 @@ def scene_and_samples(lights: int, count: int = 2**13) -> tuple[Scene, SampleBuf
     return Scene.from_nodes([shape, *lamps]), SampleBuffer.create(points, points, [0, 0, 6])
 
 
-def test_sums_of_a_gradient_are_loops_of_xla() -> None:
-    scene, samples = scene_and_samples(2)
+def gradient_by_scene(lights: int, count: int) -> tuple[Callable[[Scene], Scene], Scene]:
+    """The gradient of a loss, and where to take it."""
+    scene, samples = scene_and_samples(lights, count)
     free, fixed = eqx.partition(scene, eqx.is_inexact_array)
 
     def loss(free: Scene) -> jax.Array:
         return jnp.sum(shade_tiles(eqx.combine(free, fixed), samples) ** 2)
 
-    program = jax.jit(jax.grad(loss), compiler_options=compiler_options()).lower(free).compile().as_text() or ""
+    return jax.grad(loss), free
+
+
+def test_sums_of_a_gradient_are_loops_of_xla() -> None:
+    gradient, free = gradient_by_scene(2, 2**13)
+    program = jax.jit(gradient, compiler_options=compiler_options()).lower(free).compile().as_text() or ""
     assert "reduce" in program
     assert "ynn" not in program
+
+
+PARTS_OF_LOOPS = """
+import sys
+import jax
+sys.path.insert(0, sys.argv[1])
+from jaxlight import compiler_options
+from test_compiling import gradient_by_scene
+
+gradient, free = gradient_by_scene(8, 2**15)
+for options in ({}, compiler_options()):
+    program = jax.jit(gradient, compiler_options=options).lower(free).compile().as_text()
+    print(program.count('outer_dimension_partitions":["'))
+"""
+
+
+def test_loops_of_a_gradient_are_not_shared_out_among_cores() -> None:
+    """They are too small for that."""
+    command = [sys.executable, "-c", PARTS_OF_LOOPS, str(Path(__file__).parent)]
+    four_cores = {**os.environ, "NPROC": "4"}
+    done = subprocess.run(command, env=four_cores, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    left_to_xla, asked_for = map(int, done.stdout.split())
+    assert left_to_xla > 0 and asked_for == 0
+
+
+def test_a_loop_and_the_loops_in_it_are_not_one_function() -> None:
+    def product(numbers: jax.Array) -> jax.Array:
+        return jax.lax.fori_loop(0, 8, lambda number, total: jnp.sin(total) * numbers[number], numbers)
+
+    program = jax.jit(product, compiler_options=compiler_options()).lower(jnp.ones(8)).compile().as_text() or ""
+    assert "while" in program
+    assert "small_call" not in program
 
 
 @pytest.mark.parametrize("lights", [8, 12])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -89,7 +90,8 @@ def _sums_of_many_jvp(how: How, primals: Any, tangents: Any) -> tuple[Any, Any]:
         first, own_colors, own_rows = some
         own = merged(directions, [n for n, own in enumerate(per_light) if own], own_rows)
         known, derived_rows, results = _rows_of_some((operands, derived, weights), lights, first)
-        own_change = change_along(how, stage, known, derived_rows, results, moving, own)
+        own_stage = dataclasses.replace(stage, always=stage.always & (first >= 0))
+        own_change = change_along(how, own_stage, known, derived_rows, results, moving, own)
         return _added(total, _sums(own_colors, own_change)), None
 
     sums = _sums_for_reverse(colors, weights)

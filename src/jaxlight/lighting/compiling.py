@@ -26,15 +26,29 @@ WANTED: Mapping[str, Any] = {
     "xla_cpu_experimental_ynn_fusion_type": "LIBRARY_FUSION_TYPE_DOT",
 }
 
+_LEFT_OUT = "xla_disable_hlo_passes"
+"""The option that names what XLA leaves out of its work; it takes names that it does not know."""
+
+_ONE_FUNCTION = "small-while-loop-hoisting"
+"""Makes one function of a loop and the loops in it, whose numbers are read every time as if they could have changed."""
+
+_SHARED_OUT = "cpu-parallel-task-assigner"
+"""Shares out loops of a few microseconds among cores, where to wait for another core takes longer."""
+
 with eval_context():
     _OUTSIDE = get_opaque_trace_state()
     """The state in which nothing is traced."""
 
 
 @functools.cache
-def cpu_options() -> Mapping[str, Any]:
-    """Of the options that are wanted those that the installed release of XLA knows; their names are no promise."""
-    return {name: value for name, value in WANTED.items() if _is_known(name, value)}
+def cpu_options(*, shared_out: bool = False) -> Mapping[str, Any]:
+    """Of the options that are wanted those that the installed release of XLA knows; their names are no promise.
+
+    `shared_out`: XLA may share out loops among cores.
+    """
+    left_out = [_ONE_FUNCTION] if shared_out else [_ONE_FUNCTION, _SHARED_OUT]
+    wanted = {**WANTED, _LEFT_OUT: ",".join(left_out)}
+    return {name: value for name, value in wanted.items() if _is_known(name, value)}
 
 
 def _is_known(name: str, value: Any) -> bool:
@@ -49,8 +63,9 @@ def _is_known(name: str, value: Any) -> bool:
 def compiler_options() -> dict[str, Any]:
     """What to give a `jax.jit` of one's own around `shade` or its derivatives, as its `compiler_options`.
 
-    On the CPU they make it quicker, and its peak of memory lower; elsewhere there are none. `shade` and `fit` ask for
-    them by themselves where they are called outside jit.
+    On the CPU they make it quicker, and its peak of memory lower; elsewhere there are none. They keep the loops of a
+    call on one core: to share them out takes longer in all but forward passes under up to four lights. `shade` and `fit`
+    ask for them by themselves where they are called outside jit.
     """
     return dict(cpu_options()) if jax.default_backend() == "cpu" else {}
 
@@ -72,12 +87,15 @@ def _once(make: Callable[[], _Function]) -> Callable[[], _Function]:
     return made
 
 
-def jit_on_cpu(function: Callable[..., Any], **how: Any) -> Callable[..., Any]:
-    """`jax.jit` of what is called outside all transformations and runs on the CPU."""
+def jit_on_cpu(function: Callable[..., Any], *, shared_out: bool = False, **how: Any) -> Callable[..., Any]:
+    """`jax.jit` of what is called outside all transformations and runs on the CPU.
+
+    `shared_out`: as for `cpu_options`.
+    """
 
     @_once
     def compiled() -> Callable[..., Any]:
-        return jax.jit(function, compiler_options=dict(cpu_options()), **how)
+        return jax.jit(function, compiler_options=dict(cpu_options(shared_out=shared_out)), **how)
 
     @functools.wraps(function)
     def call(*arguments: Any) -> Any:

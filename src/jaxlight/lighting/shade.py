@@ -108,7 +108,9 @@ def _shade(
     if not _runs_alone_on_cpu(scene, samples):
         return _shaded(form, plan, scene, samples)
     runs, shares = surface_runs(scene.surfaces, samples), shares_of(samples.slots)
-    if shares == 1 or all(is_one_loop(run, scene, plan) for run in runs):
+    if all(is_one_loop(run, scene, plan) for run in runs):
+        return _shaded_by_all_cores(form, plan, scene, samples)
+    if shares == 1:
         return _shaded_on_cpu(form, plan, scene, samples)
     rows = in_threads(lambda number: _share_of_rows(plan, scene, samples, number, shares), shares)
     return _joined(form, tuple(run.stop - run.start for run in runs), rows, samples)
@@ -164,6 +166,7 @@ def _formed(form: _Form, plan: Plan, scene: Scene, samples: SampleBuffer) -> Arr
 
 _shaded = jax.jit(_formed, static_argnums=(0, 1))
 _shaded_on_cpu = jit_on_cpu(_formed, static_argnums=(0, 1))
+_shaded_by_all_cores = jit_on_cpu(_formed, shared_out=True, static_argnums=(0, 1))
 
 
 @partial(jit_on_cpu, static_argnums=(0, 4))
