@@ -6,13 +6,13 @@ import dataclasses
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..lighting import LightingOptions, shade_planes
 from ..lighting.checks import check_samples
+from ..lighting.compiling import quick_jit
 from ..raster.samples import SampleBuffer
 from ..scene import paths
 from ..scene.fields import positive, whole
@@ -180,20 +180,20 @@ def _image(parameters: Parameters, world: World, samples: SampleBuffer, values: 
     return samples.in_sample_order(shade_planes(parameters.world(world, values).scene, samples, options))
 
 
-@eqx.filter_jit
+@quick_jit
 def _forward(parameters: Parameters, world: World, samples: SampleBuffer, options: Any, number: Any) -> Any:
     values = parameters.start
     direction = jnp.zeros_like(values).at[number].set(1)
     return jax.jvp(lambda v: _image(parameters, world, samples, v, options), (values,), (direction,))[1]
 
 
-@eqx.filter_jit
+@quick_jit
 def _reverse(parameters: Parameters, world: World, samples: SampleBuffer, options: Any, weights: Any) -> Any:
     _, pull = jax.vjp(lambda v: _image(parameters, world, samples, v, options), parameters.start)
     return pull(weights)[0]
 
 
-@eqx.filter_jit
+@quick_jit
 def _images_at(parameters: Parameters, world: World, samples: SampleBuffer, options: Any, number: Any, at: Any) -> Any:
     return jax.lax.map(lambda x: _image(parameters, world, samples, parameters.start.at[number].set(x), options), at)
 

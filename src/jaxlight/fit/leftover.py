@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..lighting.compiling import quick_jit
 from .normal import view_residual
 from .problem import Problem
 from .residuals import LossKind, reweight
@@ -30,7 +30,7 @@ class Leftover(NamedTuple):
     """Of dpsi / dr."""
 
 
-@eqx.filter_jit
+@quick_jit
 def leftover(problem: Problem, values: Float[Array, " parameters"]) -> Leftover:
     """The sums at these values, over all views."""
     world = problem.at(values)

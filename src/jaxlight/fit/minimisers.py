@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from ..lighting.compiling import quick_jit
 from . import normal
 from .problem import Problem
 
@@ -46,7 +46,7 @@ def minimise(problem: Problem, minimiser: Any, max_steps: int) -> tuple[Float[Ar
     return values, bool(result == optx.RESULTS.successful), int(steps)
 
 
-@eqx.filter_jit
+@quick_jit
 def _minimise(problem: Problem, minimiser: Any, max_steps: int) -> tuple[Array, Any, Array]:
     start = _unbounded(problem, problem.parameters.start)
     solution = optx.minimise(_loss, minimiser, start, problem, max_steps=max_steps, throw=False)

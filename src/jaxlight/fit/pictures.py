@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 
 from ..formats.levels import is_chosen
 from ..image import resolve, sky
+from ..lighting.compiling import quick_jit
 from . import normal
 from .problem import Problem
 from .views import View, ViewData
@@ -116,13 +116,13 @@ def _place(problem: Problem, view: int) -> tuple[ViewData, int]:
     raise ValueError(f"view: expected a row of the {len(problem.world.exposure)} views, got {view}")
 
 
-@eqx.filter_jit
+@quick_jit
 def _model_planes(problem: Problem, values: Any, stack: ViewData, position: Any) -> tuple[Any, ViewData]:
     data = jax.tree.map(lambda leaf: leaf[position], stack)
     return normal.view_model(problem.at(values), data), data
 
 
-@eqx.filter_jit
+@quick_jit
 def _residual_planes(problem: Problem, values: Any, stack: ViewData, position: Any) -> tuple[Any, ViewData]:
     data = jax.tree.map(lambda leaf: leaf[position], stack)
     return normal.view_residual(problem, problem.at(values), data), data

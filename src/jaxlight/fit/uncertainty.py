@@ -10,11 +10,11 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..lighting.compiling import quick_jit
 from . import normal
 from .curvature import ArrowCurvature, as_curvature
 from .identify import Ambiguity, Partner, ambiguities, analyse
@@ -187,7 +187,7 @@ def _remarks(problem: Problem, residuals: float, fitted: float) -> list[str]:
     return said
 
 
-@eqx.filter_jit
+@quick_jit
 def _reduced(problem: Problem, values: Any) -> _Reduced:
     parameters = problem.parameters
     loss, gradient, matrix = normal.normal_equations(problem, values)

@@ -64,8 +64,8 @@ def compiler_options() -> dict[str, Any]:
     """What to give a `jax.jit` of one's own around `shade` or its derivatives, as its `compiler_options`.
 
     On the CPU they make it quicker, and its peak of memory lower; elsewhere there are none. They keep the loops of a
-    call on one core: to share them out takes longer in all but forward passes under up to four lights. `shade` and `fit`
-    ask for them by themselves where they are called outside jit.
+    call on one core: to share them out takes longer in all but forward passes under up to four lights. `shade` and
+    `fit` ask for them by themselves where they are called outside jit.
     """
     return dict(cpu_options()) if jax.default_backend() == "cpu" else {}
 
