@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -13,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .changes import is_zero, merged
+from .own_sums import multilinear
 from .stage_derivatives import How, change_along, directions_of, each
 from .stages import Stage
 from .unstored import Inlined, is_unstored
@@ -40,14 +40,22 @@ def sums_of_colors(
         return _sums_of_many(stage.how(weights, **how), stage, colors, operands)
     own = stage.each(weights, *operands, **how)
     if lights == 1:
-        return jax.tree.map(lambda weight: Inlined(jnp.multiply, (colors[:, 0], weight)), own)
+        return jax.tree.map(lambda weight: Inlined(_times, (colors[:, 0], weight)), own)
     if lights <= 2 * SUMMED:
         return _sums(colors, own)
     return _sums_in_parts(colors, own) if stage.forward else _sums_for_reverse(colors, own)
 
 
 def _sums(colors: Array, weights: Any) -> Any:
-    return jax.tree.map(lambda own: jnp.sum(colors * own, axis=1), weights)
+    return jax.tree.map(lambda weight: multilinear(_sum_over_lights, colors, weight), weights)
+
+
+def _times(color: Array, weight: Array) -> Array:
+    return multilinear(jnp.multiply, color, weight)
+
+
+def _sum_over_lights(colors: Array, weight: Array) -> Array:
+    return jnp.sum(colors * weight, axis=1)
 
 
 def _sums_in_parts(colors: Array, weights: Any) -> Any:
@@ -90,8 +98,7 @@ def _sums_of_many_jvp(how: How, primals: Any, tangents: Any) -> tuple[Any, Any]:
         first, own_colors, own_rows = some
         own = merged(directions, [n for n, own in enumerate(per_light) if own], own_rows)
         known, derived_rows, results = _rows_of_some((operands, derived, weights), lights, first)
-        own_stage = dataclasses.replace(stage, always=stage.always & (first >= 0))
-        own_change = change_along(how, own_stage, known, derived_rows, results, moving, own)
+        own_change = change_along(how, stage, known, derived_rows, results, moving, own)
         return _added(total, _sums(own_colors, own_change)), None
 
     sums = _sums_for_reverse(colors, weights)

@@ -19,6 +19,7 @@ from jaxtyping import Array, Int
 
 from .at_once import at_once
 from .changes import merged
+from .own_sums import with_own_sums
 
 
 def linear_stage(
@@ -51,11 +52,17 @@ def linear_stage(
 _Forms = tuple[ClosedJaxpr, ...]
 
 
-def _evaluated(which: Array, *operands: Array, jaxprs: _Forms, known: int) -> Sequence[Array]:
+def _evaluated(
+    which: Array,
+    *operands: Array,
+    jaxprs: _Forms,
+    known: int,
+    evaluated: Callable[[ClosedJaxpr], Callable[..., Sequence[Array]]] = jaxpr_as_fun,
+) -> Sequence[Array]:
     def never(*_: Array) -> list[Array]:
         return [jnp.zeros(result.shape, result.dtype) for result in jaxprs[0].out_avals]
 
-    return lax.switch(which, [never, *map(jaxpr_as_fun, jaxprs)], *operands)
+    return lax.switch(which, [never, *map(evaluated, jaxprs)], *operands)
 
 
 def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, jaxprs: _Forms, known: int) -> Any:
@@ -112,6 +119,9 @@ _linear_stage.multiple_results = True
 _linear_stage.def_impl(_evaluated)
 _linear_stage.def_abstract_eval(lambda *_, jaxprs, **others: jaxprs[0].out_avals)
 mlir.register_lowering(_linear_stage, mlir.lower_fun(_evaluated, multiple_results=True))
+mlir.register_lowering(
+    _linear_stage, mlir.lower_fun(partial(_evaluated, evaluated=with_own_sums), multiple_results=True), platform="cpu"
+)
 ad.primitive_jvps[_linear_stage] = _jvp
 ad.primitive_transposes[_linear_stage] = _transpose
 batching.primitive_batchers[_linear_stage] = _batched

@@ -11,10 +11,12 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from .changes import is_zero, merged, moves, with_change
 from .linear_stage import linear_stage
+from .own_sums import spread
 from .unstored import is_unstored, stored
 
 Forms = Sequence[Callable[..., Any]]
@@ -108,11 +110,11 @@ def _change(
         # Many directions share it. Each plane is a stage of its own: some directions ask for none.
         derived, inside = (*derived, _each_by_itself(stage, inside, (results, *operands, *derived))), None
     shapes = [result.shape for result in jax.tree.leaves(jax.eval_shape(lambda: stored(results)))]
-    shape = jnp.broadcast_shapes(*shapes)
+    shape: tuple[int, ...] = np.broadcast_shapes(*shapes)
     is_wide = [position in how.wide for position, own in enumerate(operands) for _ in jax.tree.leaves(stored(own))]
 
     def widened(number: int, plane: Array) -> Array:
-        return jnp.broadcast_to(plane, shape) if is_wide[number] else plane
+        return spread(plane, shape) if is_wide[number] else plane
 
     def change(form: int, known: tuple[Any, Any, Any], directions: list[Array]) -> Any:
         operands, derived, results = stored(known)
