@@ -41,12 +41,12 @@ with eval_context():
 
 
 @functools.cache
-def cpu_options(*, shared_out: bool = False) -> Mapping[str, Any]:
+def cpu_options(*, all_cores: bool = False) -> Mapping[str, Any]:
     """Of the options that are wanted those that the installed release of XLA knows; their names are no promise.
 
-    `shared_out`: XLA may share out loops among cores.
+    `all_cores`: XLA shares out loops.
     """
-    left_out = [_ONE_FUNCTION] if shared_out else [_ONE_FUNCTION, _SHARED_OUT]
+    left_out = [_ONE_FUNCTION] if all_cores else [_ONE_FUNCTION, _SHARED_OUT]
     wanted = {**WANTED, _LEFT_OUT: ",".join(left_out)}
     return {name: value for name, value in wanted.items() if _is_known(name, value)}
 
@@ -60,14 +60,17 @@ def _is_known(name: str, value: Any) -> bool:
     return True
 
 
-def compiler_options() -> dict[str, Any]:
+def compiler_options(*, all_cores: bool = False) -> dict[str, Any]:
     """What to give a `jax.jit` of one's own around `shade` or its derivatives, as its `compiler_options`.
 
-    On the CPU they make it quicker, and its peak of memory lower; elsewhere there are none. They keep the loops of a
-    call on one core: to share them out takes longer in all but forward passes under up to four lights. `shade` and
-    `fit` ask for them by themselves where they are called outside jit.
+    On the CPU they make it quicker, and its peak of memory lower; elsewhere there are none. `shade` and `fit` ask for
+    them by themselves where they are called outside jit.
+
+    Args:
+        all_cores: whether XLA may share out the loops of a call among cores. It gains in forward passes under up to four
+            lights and in gradients under some dozens; in others the cores wait for each other.
     """
-    return dict(cpu_options()) if jax.default_backend() == "cpu" else {}
+    return dict(cpu_options(all_cores=all_cores)) if jax.default_backend() == "cpu" else {}
 
 
 def is_traced(*arguments: Any) -> bool:
@@ -87,15 +90,15 @@ def _once(make: Callable[[], _Function]) -> Callable[[], _Function]:
     return made
 
 
-def jit_on_cpu(function: Callable[..., Any], *, shared_out: bool = False, **how: Any) -> Callable[..., Any]:
+def jit_on_cpu(function: Callable[..., Any], *, all_cores: bool = False, **how: Any) -> Callable[..., Any]:
     """`jax.jit` of what is called outside all transformations and runs on the CPU.
 
-    `shared_out`: as for `cpu_options`.
+    `all_cores`: as for `cpu_options`.
     """
 
     @_once
     def compiled() -> Callable[..., Any]:
-        return jax.jit(function, compiler_options=dict(cpu_options(shared_out=shared_out)), **how)
+        return jax.jit(function, compiler_options=dict(cpu_options(all_cores=all_cores)), **how)
 
     @functools.wraps(function)
     def call(*arguments: Any) -> Any:

@@ -166,7 +166,7 @@ def _formed(form: _Form, plan: Plan, scene: Scene, samples: SampleBuffer) -> Arr
 
 _shaded = jax.jit(_formed, static_argnums=(0, 1))
 _shaded_on_cpu = jit_on_cpu(_formed, static_argnums=(0, 1))
-_shaded_by_all_cores = jit_on_cpu(_formed, shared_out=True, static_argnums=(0, 1))
+_shaded_by_all_cores = jit_on_cpu(_formed, all_cores=True, static_argnums=(0, 1))
 
 
 @partial(jit_on_cpu, static_argnums=(0, 4))
