@@ -146,9 +146,7 @@ def cost(options: Options) -> str:
     step, step_clock = seconds(lambda: advance(problem, solver, state))
     columns = ["numbers", "forward ms", "step ms", "step / forward", "forward by the clock ms", "step by the clock ms"]
     numbers = len(problem.parameters.start)
-    return table(
-        columns, [[numbers, 1e3 * forward, 1e3 * step, step / forward, 1e3 * forward_clock, 1e3 * step_clock]]
-    )
+    return table(columns, [[numbers, 1e3 * forward, 1e3 * step, step / forward, 1e3 * forward_clock, 1e3 * step_clock]])
 
 
 def seconds(run: Callable[[], Any], calls: int = 15) -> tuple[float, float]:

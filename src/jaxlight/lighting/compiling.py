@@ -67,8 +67,8 @@ def compiler_options(*, all_cores: bool = False) -> dict[str, Any]:
     them by themselves where they are called outside jit.
 
     Args:
-        all_cores: whether XLA may share out the loops of a call among cores. It gains in forward passes under up to four
-            lights and in gradients under some dozens; in others the cores wait for each other.
+        all_cores: whether XLA may share out the loops of a call among cores. It gains in forward passes under up to
+            four lights and in gradients under some dozens; in others the cores wait for each other.
     """
     return dict(cpu_options(all_cores=all_cores)) if jax.default_backend() == "cpu" else {}
 
