@@ -52,9 +52,9 @@ def gradient_by_scene(lights: int, count: int) -> tuple[Callable[[Scene], Scene]
     return jax.grad(loss), free
 
 
-@pytest.mark.parametrize("lights", [1, 2, 40])
-@pytest.mark.parametrize("options", [False, True], ids=["left to XLA", "with options"])
+@pytest.mark.parametrize(("lights", "options"), [(1, False), (40, False), (2, True)])
 def test_sums_of_a_gradient_are_loops_of_xla(lights: int, options: bool) -> None:
+    """Whether it is asked for them or not."""
     gradient, free = gradient_by_scene(lights, 2**13)
     asked_for = compiler_options() if options else {}
     program = jax.jit(gradient, compiler_options=asked_for).lower(free).compile().as_text() or ""
