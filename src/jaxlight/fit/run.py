@@ -128,7 +128,8 @@ def advance(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState
     """
     shares = _shares(problem, state)
     if shares == 1:
-        return advance_alone(problem, solver, state)
+        in_one_call = advance_alone if _is_by_tiles(problem) else _advance_on_all_cores
+        return in_one_call(problem, solver, state)
     moments = _added(lambda share: _trial_moments(problem, state, share, shares), shares)
     trial, loss, accept = _judged(problem, solver, state, moments)
     moments = normal.no_moments(problem)
@@ -139,10 +140,14 @@ def advance(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState
 
 def _shares(problem: Problem, state: FitState) -> int:
     """Among how many cores the tiles of a step are divided; the same in all steps, which then share compiled code."""
-    by_tiles = not problem.parameters.blocks and all(view.pixel is None for view in problem.views)
-    if not by_tiles or jax.default_backend() != "cpu" or is_traced(problem, state):
+    if not _is_by_tiles(problem) or jax.default_backend() != "cpu" or is_traced(problem, state):
         return 1
     return shares_of(sum(math.prod(view.root_weight.shape) // view.root_weight.shape[-2] for view in problem.views))
+
+
+def _is_by_tiles(problem: Problem) -> bool:
+    """Whether all that takes long is done tile by tile; else there are loops over whole pictures."""
+    return not problem.parameters.blocks and all(view.pixel is None for view in problem.views)
 
 
 def _added(moments: Callable[[Array], Moments], shares: int) -> Moments:
@@ -158,6 +163,11 @@ def _part(problem: Problem, state: FitState) -> Problem:
 def advance_alone(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState) -> FitState:
     """`advance` in one compiled call."""
     return _stepped(_part(problem, state), solver, state, _OPTIONS)
+
+
+@functools.partial(quick_jit, all_cores=True)
+def _advance_on_all_cores(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState) -> FitState:
+    return advance_alone(problem, solver, state)
 
 
 def _stepped(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState, options: dict[str, Any]) -> FitState:

@@ -107,12 +107,12 @@ def jit_on_cpu(function: Callable[..., Any], *, all_cores: bool = False, **how: 
     return call
 
 
-def quick_jit(function: _Function) -> _Function:
+def quick_jit(function: _Function, *, all_cores: bool = False) -> _Function:
     """`eqx.filter_jit` with `compiler_options`; under another transformation the function itself."""
 
     @_once
     def compiled() -> Callable[..., Any]:
-        options: dict[str, Any] = {"compiler_options": compiler_options()}
+        options: dict[str, Any] = {"compiler_options": compiler_options(all_cores=all_cores)}
         return eqx.filter_jit(function, **options)
 
     @functools.wraps(function)
