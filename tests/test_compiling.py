@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -52,14 +54,28 @@ def gradient_by_scene(lights: int, count: int) -> tuple[Callable[[Scene], Scene]
     return jax.grad(loss), free
 
 
-@pytest.mark.parametrize(("lights", "options"), [(1, False), (40, False), (2, True)])
-def test_sums_of_a_gradient_are_loops_of_xla(lights: int, options: bool) -> None:
-    """Whether it is asked for them or not."""
-    gradient, free = gradient_by_scene(lights, 2**13)
-    asked_for = compiler_options() if options else {}
-    program = jax.jit(gradient, compiler_options=asked_for).lower(free).compile().as_text() or ""
+def test_sums_of_a_gradient_are_loops_of_xla() -> None:
+    gradient, free = gradient_by_scene(2, 2**13)
+    program = jax.jit(gradient, compiler_options=compiler_options()).lower(free).compile().as_text() or ""
     assert "reduce" in program
     assert "ynn" not in program
+
+
+PLAIN_SUM = re.compile(r"reduce\(.*applies stablehlo.add .*: \(tensor<([\dx]+)xf(?:32|64)>")
+"""With the shape of what is added up."""
+
+
+def large_sums(text: str) -> list[str]:
+    """Shapes of sums of so many numbers that a library of XLA's would be given them."""
+    return [shape for shape in PLAIN_SUM.findall(text) if math.prod(map(int, shape.split("x"))) >= 4096]
+
+
+@pytest.mark.parametrize("lights", [1, 8, 40])
+def test_sums_of_a_gradient_are_none_that_a_library_knows(lights: int) -> None:
+    """Whatever options the program is compiled with."""
+    gradient, free = gradient_by_scene(lights, 2**13)
+    assert large_sums(jax.jit(gradient).lower(free).as_text()) == []
+    assert large_sums(jax.jit(lambda planes: jnp.sum(planes, axis=1)).lower(jnp.ones((8, 16, 128))).as_text())
 
 
 PARTS_OF_LOOPS = """

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int
 from ..raster.samples import SampleBuffer
 from ..scene import Scene, Surface
 from .one_tile import Color, rows_of_tiles, tile_color
+from .own_sums import spread
 from .plan import Plan
 from .prepared import Prepared, compute_dtype, on_one_lane
 from .stages import PLANE
@@ -128,7 +129,7 @@ def color_and_alpha_of_run(
 
     of_run = _of_parts_of_run if by_images else _of_run
     colors = of_run(planes_of, run, prepared, samples, plan, count)
-    alpha = jnp.broadcast_to(colors.opacity, (colors.opacity.shape[0], count * samples.tile))
+    alpha = spread(colors.opacity, (colors.opacity.shape[0], count * samples.tile))
     return colors.rgb.reshape(-1, 3, samples.tile), alpha.reshape(-1, 1, samples.tile)
 
 
