@@ -65,16 +65,17 @@ PLAIN_SUM = re.compile(r"reduce\(.*applies stablehlo.add .*: \(tensor<([\dx]+)xf
 """With the shape of what is added up."""
 
 
-def large_sums(text: str) -> list[str]:
-    """Shapes of sums of so many numbers that a library of XLA's would be given them."""
-    return [shape for shape in PLAIN_SUM.findall(text) if math.prod(map(int, shape.split("x"))) >= 4096]
+def large_sums(text: str) -> list[int]:
+    """Of how many numbers are sums of so many that a library of XLA's would be given them."""
+    counts = [math.prod(map(int, shape.split("x"))) for shape in PLAIN_SUM.findall(text)]
+    return [count for count in counts if count >= 4096]
 
 
 @pytest.mark.parametrize("lights", [1, 8, 40])
 def test_sums_of_a_gradient_are_none_that_a_library_knows(lights: int) -> None:
-    """Whatever options the program is compiled with."""
+    """Whatever options the program is compiled with; but one for the alpha of a whole picture."""
     gradient, free = gradient_by_scene(lights, 2**13)
-    assert large_sums(jax.jit(gradient).lower(free).as_text()) == []
+    assert large_sums(jax.jit(gradient).lower(free).as_text()) == [2**13]
     assert large_sums(jax.jit(lambda planes: jnp.sum(planes, axis=1)).lower(jnp.ones((8, 16, 128))).as_text())
 
 
@@ -130,3 +131,26 @@ def test_xla_finds_an_end_in_simplifying_lights_of_a_scaled_frame(
     points = np.random.default_rng(3).normal(size=(3000, 3))
     jax.jit(partial(shade_tiles, scene)).lower(SampleBuffer.create(points, points, [0, 0, 6])).compile()
     assert "circular simplification" not in capfd.readouterr().err
+
+
+def test_the_compiler_is_given_no_sum_of_constants(tmp_path: Path) -> None:
+    """XLA adds constants up as it compiles, a microsecond a number: seconds for the pixels of a large picture."""
+    scene, samples = scene_and_samples(1)
+    free, fixed = eqx.partition(scene, eqx.is_inexact_array)
+
+    def loss(free: Scene) -> jax.Array:  # of colours, and not of alpha
+        return jnp.sum(shade_tiles(eqx.combine(free, fixed), samples)[:, :3] ** 2)
+
+    dump = {"xla_dump_to": str(tmp_path), "xla_dump_hlo_pass_re": "constant_folding"}
+    jax.jit(jax.grad(loss), compiler_options=compiler_options() | dump).lower(free).compile()
+    programs = [path.read_text() for path in tmp_path.glob("*.before_constant_folding.txt")]
+    assert programs
+    assert [sum_ for program in programs for sum_ in sums_of_constants(program)] == []
+    assert sums_of_constants("%a = f32[9] broadcast(%c), dimensions={}\n%b = f32[] reduce(%a, %z)") == ["%b"]
+
+
+def sums_of_constants(program: str) -> list[str]:
+    """The sums of a program in HLO whose terms are all the same constant."""
+    constants = set(re.findall(r"(%\S+) = \S+ broadcast\(%c\S*\), dimensions=\{\}", program))
+    sums = re.findall(r"(%\S+) = \S+ reduce(?:-window)?\((%[^,]+),", program)
+    return [name for name, terms in sums if terms in constants]

@@ -11,9 +11,10 @@ from jaxtyping import Array
 
 
 def with_change(function: Callable[..., Any], primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
-    """function(*primals), and its change by those tangents that are not symbolic zeros."""
+    """function(*primals), and its change by those tangents that are no zeros, symbolic or left out."""
     leaves, tree = jax.tree.flatten(primals)
-    changes, moving = moving_leaves(tangents)
+    changes = tree.flatten_up_to(tangents)
+    moving = [number for number, change in enumerate(changes) if not (change is None or is_zero(change))]
 
     def of_moving(*values: Array) -> Any:
         return function(*tree.unflatten(merged(leaves, moving, values)))
@@ -21,15 +22,14 @@ def with_change(function: Callable[..., Any], primals: tuple[Any, ...], tangents
     return jax.jvp(of_moving, [leaves[number] for number in moving], [changes[number] for number in moving])
 
 
-def moving_leaves(tangents: Any) -> tuple[list[Any], list[int]]:
-    """The leaves of tangents, and which of them are no symbolic zeros."""
-    changes = jax.tree.leaves(tangents, is_leaf=is_zero)
-    return changes, [number for number, change in enumerate(changes) if not is_zero(change)]
+def without_zeros(tangents: Any) -> Any:
+    """Tangents with None for symbolic zeros, so that a compiled function and a loop can be given them."""
+    return jax.tree.map(lambda change: None if is_zero(change) else change, tangents, is_leaf=is_zero)
 
 
 def moves(tangents: Any) -> bool:
     """Whether any leaf of the tangents is no symbolic zero."""
-    return bool(moving_leaves(tangents)[1])
+    return not all(is_zero(change) for change in jax.tree.leaves(tangents, is_leaf=is_zero))
 
 
 def merged(values: Sequence[Any], numbers: Sequence[int], others: Sequence[Any]) -> list[Any]:

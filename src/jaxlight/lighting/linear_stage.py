@@ -36,17 +36,11 @@ def linear_stage(
             once.
         known, moving: pytrees of arrays.
     """
-    known_leaves, known_tree = jax.tree.flatten(known)
-    moving_leaves, moving_tree = jax.tree.flatten(moving)
-
-    def flat(function: Callable[..., Any], *leaves: Array) -> list[Array]:
-        here, there = leaves[: len(known_leaves)], leaves[len(known_leaves) :]
-        return jax.tree.leaves(function(known_tree.unflatten(here), moving_tree.unflatten(there)))
-
-    leaves = (*known_leaves, *moving_leaves)
-    jaxprs = tuple(jax.make_jaxpr(partial(flat, function))(*leaves) for function in functions)
-    tree = jax.tree.structure(jax.eval_shape(functions[0], known, moving))
-    return tree.unflatten(_linear_stage.bind(which, *leaves, known=len(known_leaves), jaxprs=jaxprs))
+    traced = [jax.make_jaxpr(function, return_shape=True)(known, moving) for function in functions]
+    jaxprs = tuple(jaxpr for jaxpr, _ in traced)
+    known, moving = jax.tree.leaves(known), jax.tree.leaves(moving)
+    tree = jax.tree.structure(traced[0][1])
+    return tree.unflatten(_linear_stage.bind(which, *known, *moving, known=len(known), jaxprs=jaxprs))
 
 
 _Forms = tuple[ClosedJaxpr, ...]

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from ..raster.samples import SampleBuffer
 from ..scene import Scene
-from .changes import moves, with_change
+from .changes import moves, with_change, without_zeros
 from .checks import check_samples
 from .compiling import is_traced, jit_on_cpu
 from .cores import in_threads, shares_of
@@ -116,35 +116,6 @@ def _shade(
     return _joined(form, tuple(run.stop - run.start for run in runs), rows, samples)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _rows(plan: Plan, scene: Scene, samples: SampleBuffer) -> Float[Array, "tiles tile 4"]:
-    return mapped_axis_first(_in_one(_rows_of_runs(plan, scene, samples, None), samples))
-
-
-def _rows_jvp(plan: Plan, primals: Any, tangents: Any) -> Any:
-    change, own = tangents
-    planes = (own.position_planes, own.normal_planes, own.color_planes, own.texel_weight)
-    by_images = moves((planes, change.textures))
-
-    def in_stages(scene: Scene, samples: SampleBuffer) -> Array:
-        count = tiles_at_once(scene, samples, plan)
-        prepared = prepare(scene, samples, plan, count)
-        runs = [
-            color_and_alpha_of_run(run, prepared, samples, plan, count, by_images=by_images)
-            for run in surface_runs(scene.surfaces, samples)
-        ]
-        # Joined at the very end, so that a loss of colours alone meets no image with alpha in reverse mode either.
-        parts = zip(*runs, strict=True)
-        whole = [jnp.concatenate(part) for part in parts]
-        rows = jnp.swapaxes(jnp.concatenate(whole, axis=1), 1, 2) if runs else _in_one([], samples)
-        return mapped_axis_first(rows)
-
-    return with_change(in_stages, primals, tangents)
-
-
-_rows.defjvp(_rows_jvp, symbolic_zeros=True)
-
-
 def _rows_of_runs(plan: Plan, scene: Scene, samples: SampleBuffer, share: Share | None) -> list[Array]:
     """The colours of all tiles or of a share of them, run by run."""
     prepared = prepare(scene, samples, plan)
@@ -161,12 +132,52 @@ def _in_one(runs: list[Array], samples: SampleBuffer) -> Float[Array, "tiles til
 
 
 def _formed(form: _Form, plan: Plan, scene: Scene, samples: SampleBuffer) -> Array:
-    return form(_rows(plan, scene, samples), samples)
+    return mapped_axis_first(form(_in_one(_rows_of_runs(plan, scene, samples, None), samples), samples))
 
 
-_shaded = jax.jit(_formed, static_argnums=(0, 1))
+_formed_in_jit = jax.jit(_formed, static_argnums=(0, 1))
 _shaded_on_cpu = jit_on_cpu(_formed, static_argnums=(0, 1))
 _shaded_by_all_cores = jit_on_cpu(_formed, all_cores=True, static_argnums=(0, 1))
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _shaded(form: _Form, plan: Plan, scene: Scene, samples: SampleBuffer) -> Array:
+    return _formed_in_jit(form, plan, scene, samples)
+
+
+def _shaded_jvp(form: _Form, plan: Plan, primals: Any, tangents: Any) -> tuple[Array, Array]:
+    return _change_in_jit(form, plan, primals, without_zeros(tangents))
+
+
+# The rule is compiled, and not only what it is the rule of: JAX would trace that too, and throw it away.
+_shaded.defjvp(_shaded_jvp, symbolic_zeros=True)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _change_in_jit(form: _Form, plan: Plan, primals: Any, tangents: Any) -> tuple[Array, Array]:
+    """`_formed`, and its change along tangents without zeros."""
+    change, own = tangents
+    by_images = moves((own.position_planes, own.normal_planes, own.color_planes, own.texel_weight, change.textures))
+
+    def in_stages(scene: Scene, samples: SampleBuffer) -> Array:
+        return mapped_axis_first(form(_rows_in_stages(plan, scene, samples, by_images), samples))
+
+    return with_change(in_stages, primals, tangents)
+
+
+def _rows_in_stages(plan: Plan, scene: Scene, samples: SampleBuffer, by_images: bool) -> Float[Array, "tiles tile 4"]:
+    """The colours of all tiles, in the form that is differentiated."""
+    count = tiles_at_once(scene, samples, plan)
+    prepared = prepare(scene, samples, plan, count)
+    runs = [
+        color_and_alpha_of_run(run, prepared, samples, plan, count, by_images=by_images)
+        for run in surface_runs(scene.surfaces, samples)
+    ]
+    if not runs:
+        return _in_one([], samples)
+    # Joined at the very end, so that a loss of colours alone meets no image with alpha in reverse mode either.
+    whole = [jnp.concatenate(part) for part in zip(*runs, strict=True)]
+    return jnp.swapaxes(jnp.concatenate(whole, axis=1), 1, 2)
 
 
 @partial(jit_on_cpu, static_argnums=(0, 4))

@@ -18,6 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array, Bool, Int
 
 from .at_once import at_once
@@ -50,7 +51,7 @@ class Stage(eqx.Module):
 
     def __call__(self, function: Callable[..., Any], *operands: Any, name: str = "") -> Any:
         """function(*operands), a stage of its own; `name` (default: the function's) is for profiles."""
-        return self._bounded([function], operands, _shapes_of(function, operands), name or name_of(function))
+        return self._bounded([function], operands, name or name_of(function))
 
     @property
     def which(self) -> Int[Array, ""]:
@@ -115,17 +116,21 @@ class Stage(eqx.Module):
             return tree.unflatten(at_once(leaves))
 
         own = [partial(results, form) for form in forms]
-        return self._bounded(own, operands, _shapes_of(forms[-1], operands), name_of(forms[-1]))
+        return self._bounded(own, operands, name_of(forms[-1]))
 
-    def _bounded(self, forms: Forms, operands: tuple[Any, ...], shapes: Any, name: str) -> Any:
-        def never() -> Any:
+    def _bounded(self, forms: Forms, operands: tuple[Any, ...], name: str) -> Any:
+        traced = [jax.make_jaxpr(partial(_of_stored, form), return_shape=True)(*operands) for form in forms]
+        shapes, tree = jax.tree.flatten(traced[0][1])
+
+        def never(*_: Array) -> list[Array]:
             # Zeros, made of `always`: XLA takes two equal stages for one only if both branches are given something.
             value = self.unreached()
-            return jax.tree.map(lambda shape: jnp.full(shape.shape, value, shape.dtype), shapes)
+            return [jnp.full(shape.shape, value, shape.dtype) for shape in shapes]
 
         which = self.always.astype(jnp.int32) if len(forms) == 1 else self.which
         with jax.named_scope(f"stage.{name}"):
-            return lax.switch(which, [never, *(lambda form=form: form(*stored(operands)) for form in forms)])
+            branches = [never, *(jaxpr_as_fun(jaxpr) for jaxpr, _ in traced)]
+            return tree.unflatten(lax.switch(which, branches, *jax.tree.leaves(operands)))
 
     def each(
         self,
@@ -168,5 +173,5 @@ class Stage(eqx.Module):
         return How(function, () if self.forward else wide, shared, has_forms, self.forward, derive)
 
 
-def _shapes_of(function: Callable[..., Any], operands: tuple[Any, ...]) -> Any:
-    return jax.eval_shape(lambda: function(*stored(operands)))
+def _of_stored(function: Callable[..., Any], *operands: Any) -> Any:
+    return function(*stored(operands))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -16,8 +17,8 @@ from jaxtyping import Array, Float, Int
 
 from ..raster.samples import SampleBuffer
 from ..scene import Scene, Surface
+from .changes import with_change, without_zeros
 from .one_tile import Color, rows_of_tiles, tile_color
-from .own_sums import spread
 from .plan import Plan
 from .prepared import Prepared, compute_dtype, on_one_lane
 from .stages import PLANE
@@ -129,7 +130,9 @@ def color_and_alpha_of_run(
 
     of_run = _of_parts_of_run if by_images else _of_run
     colors = of_run(planes_of, run, prepared, samples, plan, count)
-    alpha = spread(colors.opacity, (colors.opacity.shape[0], count * samples.tile))
+    # A sum that XLA knows in reverse mode: of a loss of colours alone it adds up zeros, which it would otherwise add up
+    # number by number as it compiles.
+    alpha = jnp.broadcast_to(colors.opacity, (colors.opacity.shape[0], count * samples.tile))
     return colors.rgb.reshape(-1, 3, samples.tile), alpha.reshape(-1, 1, samples.tile)
 
 
@@ -144,26 +147,26 @@ def _of_run(
     plan: Plan,
     count: int,
 ) -> Any:
-    body, single = _body(planes_of, run, plan, count), on_one_lane(prepared)
+    def step(index: Array, prepared: Prepared, single: Prepared, samples: SampleBuffer) -> Any:
+        return planes_of(tile_color(run, prepared, samples, plan, index, count, single=single))
 
-    def step(_: None, index: Array) -> tuple[None, Any]:
-        return None, body(index, prepared, single, samples)
-
-    return lax.scan(step, None, jnp.arange(run.start // count, run.stop // count))[1]
+    steps = jnp.arange(run.start // count, run.stop // count)
+    return _mapped(step, steps, prepared, on_one_lane(prepared), samples)
 
 
 def _of_parts_of_run(
     planes_of: _PlanesOf, run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, count: int
 ) -> Any:
     """`_of_run` for derivatives by what is as large as an image: those of a step are as small as its own part of it."""
-    body, single = _body(planes_of, run, plan, count), on_one_lane(prepared)
 
-    def step(_: None, part: tuple[dict[str, Array], Array, Array | None]) -> tuple[None, Any]:
+    def step(
+        part: tuple[dict[str, Array], Array, Array | None], prepared: Prepared, single: Prepared, samples: SampleBuffer
+    ) -> Any:
         planes, ordinary, texel = part
         own = samples.of_part(planes)
         first = jnp.minimum(own.tile_surface[0], 0)  # 0, but only the running program knows
         here, alone = (dataclasses.replace(prepared, ordinary=ordinary) for prepared in (prepared, single))
-        return None, body(first, here, alone, own, texel)
+        return planes_of(tile_color(run, here, own, plan, first, count, single=alone, texel=texel))
 
     parts = (samples.parts(count), prepared.ordinary.reshape(-1, count))
     planes, ordinary = jax.tree.map(lambda part: part[run.start // count : run.stop // count], parts)
@@ -172,14 +175,32 @@ def _of_parts_of_run(
         index, weight = (jnp.swapaxes(planes[name], 0, 1) for name in ("texel_index", "texel_weight"))
         texture = prepared.textures[run.surface.texture]
         texel = jnp.swapaxes(sampled_texture(texture, index, weight.astype(compute_dtype(samples))), 0, 1)
-    return lax.scan(step, None, (planes, ordinary, texel))[1]
+    return _mapped(step, (planes, ordinary, texel), prepared, on_one_lane(prepared), samples)
 
 
-def _body(planes_of: _PlanesOf, run: Run, plan: Plan, count: int) -> Callable[..., Any]:
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _mapped(function: Callable[..., Any], parts: Any, *operands: Any) -> Any:
+    """function(part, *operands) for every part along the leading axis of `parts`; derivatives compute it anew.
+
+    `function` closes over no traced value.
+    """
+    return lax.map(lambda part: function(part, *operands), parts)
+
+
+def _mapped_jvp(function: Callable[..., Any], primals: Any, tangents: Any) -> Any:
+    # The function and its change in one: of a loop over the function alone JAX would take derivatives operation by
+    # operation.
+    (parts, *operands), (changes_of_parts, *changes) = primals, without_zeros(tangents)
+
     @jax.checkpoint
-    def body(
-        index: Array, prepared: Prepared, single: Prepared, samples: SampleBuffer, texel: Array | None = None
-    ) -> Any:
-        return planes_of(tile_color(run, prepared, samples, plan, index, count, single=single, texel=texel))
+    def of_part(operands: tuple[Any, ...], changes: tuple[Any, ...]) -> Any:
+        return with_change(function, operands, changes)
 
-    return body
+    def step(_: None, part: tuple[Any, Any]) -> tuple[None, Any]:
+        own, change = part
+        return None, of_part((own, *operands), (change, *changes))
+
+    return lax.scan(step, None, (parts, changes_of_parts))[1]
+
+
+_mapped.defjvp(_mapped_jvp, symbolic_zeros=True)
