@@ -20,13 +20,17 @@ MAPS = Path("/proc/self/maps")
 MOST_MAPS = 30_000
 """Linux allows a process 65 530 pieces of memory; every compiled program holds some, and LLVM aborts without."""
 EVERY = 8
-gc.set_threshold(
-    100_000
-)  # tracing makes millions of objects that stay; to go through all of them over and over takes long
+gc.set_threshold(1_000_000, 50, 1000)
+"""Tracing makes millions of objects that stay: to go through all of them takes long, and finds hardly any memory."""
 settings.register_profile("same everywhere", deadline=None, derandomize=True)
 settings.load_profile("same everywhere")
 _numbers = itertools.count()
 PRECISION: bool = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def pytest_sessionfinish() -> None:
+    """Python looks through all objects at the end, too; without this."""
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -18,7 +19,8 @@ import numpy as np
 import pytest
 
 from jaxlight import SampleBuffer, Scene, compiler_options, nodes
-from jaxlight.lighting import compiling, shade_tiles
+from jaxlight.lighting import compiling, one_tile, shade_tiles
+from jaxlight.lighting.stages import Stage
 
 
 @pytest.fixture
@@ -131,6 +133,22 @@ def test_xla_finds_an_end_in_simplifying_lights_of_a_scaled_frame(
     points = np.random.default_rng(3).normal(size=(3000, 3))
     jax.jit(partial(shade_tiles, scene)).lower(SampleBuffer.create(points, points, [0, 0, 6])).compile()
     assert "circular simplification" not in capfd.readouterr().err
+
+
+def test_the_equation_is_traced_once_for_a_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the form that is differentiated, and in no other: most of the time until a program runs is JAX's."""
+    traced: list[type] = []
+    color = one_tile._color
+
+    def counted(stage: Any, *rest: Any) -> Any:
+        traced.append(type(stage))
+        return color(stage, *rest)
+
+    monkeypatch.setattr(one_tile, "_color", counted)
+    gradient, free = gradient_by_scene(1, 700)
+    jax.clear_caches()
+    jax.make_jaxpr(gradient)(free)
+    assert traced == [Stage]
 
 
 def test_the_compiler_is_given_no_sum_of_constants(tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def test_a_changed_number_compiles_nothing_anew() -> None:
     )
     with precision("float64") as dtype:
         problem = fit(
-            sphere_scene(SUN, dtype=dtype), View(sphere_samples(12, dtype=dtype), sphere_picture(12, SUN)), FREE[1:]
+            sphere_scene(SUN, dtype=dtype), View(sphere_samples(12, dtype=dtype), sphere_picture(12, SUN)), FREE[1]
         ).problem
 
         def answer(moves: jax.Array) -> jax.Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from typing import Any
 
@@ -20,6 +21,10 @@ SIZE = 24
 FREE = ["Material[body].*", "PointLight[key].location", "PointLight[key].attenuation"]
 FEW = ["Material[body].diffuse_color", "Material[body].transparency", "PointLight[key].intensity"]
 """For what is about residuals: quickly compiled."""
+ABOUT_RESIDUALS = [
+    "grey target", "background", "several samples a pixel over a background", "sensor limits",
+    "two views, one light each", "two views of different size", "cauchy", "prior",
+]  # fmt: skip
 
 
 def scene(dtype: Any, small: int = 0, every_kind: bool = False) -> Scene:
@@ -88,7 +93,7 @@ def problem(kind: str, dtype: Any) -> Problem:
         ],
         "two views of different size": [plain, View(sphere_samples(SIZE // 2, dtype=dtype), sphere_picture(SIZE // 2))],
     }.get(kind, [plain])
-    if kind in ("background", "sensor limits", "cauchy", "two views of different size"):
+    if kind in ABOUT_RESIDUALS:
         free = list(FEW)
     if kind.startswith("two views") or kind == "several samples a pixel over a background":
         free += ["View[*].exposure"]
@@ -129,8 +134,8 @@ def dense(problem: Problem, values: Any) -> tuple[np.ndarray, np.ndarray, np.nda
     def flat(v: Any) -> Any:
         return jnp.concatenate([part.reshape(-1) for part in normal.residuals(problem, v)])
 
-    residual = np.asarray(jax.jit(flat)(values), np.float64)
-    jacobian = np.asarray(jax.jit(jax.jacfwd(flat))(values), np.float64)
+    jacobian, residual = jax.jit(jax.jacfwd(lambda v: (flat(v),) * 2, has_aux=True))(values)
+    jacobian, residual = np.asarray(jacobian, np.float64), np.asarray(residual, np.float64)
     scale = float(problem.loss_scale)
     size = np.abs(residual) / scale
     prior = np.arange(len(residual)) >= len(residual) - len(values)
@@ -163,12 +168,18 @@ def test_streamed_sums_are_the_dense_ones(kind: str) -> None:
         np.testing.assert_allclose(by_reverse[1], gradient, rtol=0, atol=1e-11 * np.abs(gradient).max())
 
 
+@functools.cache
+def exact_equations(kind: str) -> normal.NormalEquations:
+    """In double precision."""
+    with precision("float64") as dtype:
+        made = problem(kind, dtype)
+        return jax.tree.map(np.asarray, jax.jit(normal.normal_equations)(made, made.parameters.start))
+
+
 @pytest.mark.parametrize("kind", ["plain", "several samples a pixel"])
 @pytest.mark.parametrize("bits", PRECISIONS[:2])
 def test_single_precision_keeps_its_type_and_its_digits(kind: str, bits: str) -> None:
-    with precision("float64") as dtype:
-        made = problem(kind, dtype)
-        exact = jax.jit(normal.normal_equations)(made, made.parameters.start)
+    exact = exact_equations(kind)
     with precision(bits) as dtype:
         made = problem(kind, dtype)
         found = jax.jit(normal.normal_equations)(made, made.parameters.start)
@@ -185,7 +196,7 @@ def test_single_precision_keeps_its_type_and_its_digits(kind: str, bits: str) ->
 
 def test_the_gradient_is_the_derivative_of_the_loss() -> None:
     with precision("float64") as dtype:
-        for kind in ("plain", "cauchy", "sensor limits"):
+        for kind in ("cauchy", "sensor limits"):
             made = problem(kind, dtype)
             values = made.parameters.start
             by_reverse = jax.jit(jax.grad(lambda v, p: normal.loss(p, v)))(values, made)
