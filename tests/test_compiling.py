@@ -21,6 +21,7 @@ import pytest
 from jaxlight import SampleBuffer, Scene, compiler_options, nodes
 from jaxlight.lighting import compiling, one_tile, shade_tiles
 from jaxlight.lighting.stages import Stage
+from jaxlight.raster.samples import LANES
 
 
 @pytest.fixture
@@ -172,3 +173,38 @@ def sums_of_constants(program: str) -> list[str]:
     constants = set(re.findall(r"(%\S+) = \S+ broadcast\(%c\S*\), dimensions=\{\}", program))
     sums = re.findall(r"(%\S+) = \S+ reduce(?:-window)?\((%[^,]+),", program)
     return [name for name, terms in sums if terms in constants]
+
+
+@pytest.mark.parametrize("fog_type", ["LINEAR", "EXPONENTIAL"])
+def test_what_derivatives_add_up_over_samples_is_a_short_expression(fog_type: str) -> None:
+    """XLA vectorises no sum of a long one."""
+    lamps = [
+        nodes.PointLight(location=(1, 2, 4), attenuation=(1, 0.1, 0.2), ambient_intensity=0.1),
+        nodes.SpotLight(location=(-1, 2, 4), direction=(0.3, -0.6, -1), attenuation=(1, 0.1, 0), cut_off_angle=0.9),
+        nodes.DirectionalLight(direction=(0.2, -1, -1)),
+        nodes.Fog(visibility_range=30, fog_type=fog_type),
+    ]
+    shape = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material(specular_color=(0.4, 0.5, 0.6))))
+    scene = Scene.from_nodes([shape, nodes.Transform(scale=(1, 1.5, 2), children=lamps)])
+    points = np.random.default_rng(3).normal(size=(2**13, 3))
+    samples = SampleBuffer.create(points, points, [0, 0, 6])
+    free, fixed = eqx.partition(scene, eqx.is_inexact_array)
+
+    def loss(free: Scene) -> jax.Array:
+        return jnp.sum(shade_tiles(eqx.combine(free, fixed), samples) ** 2)
+
+    program = jax.jit(jax.grad(loss), compiler_options=compiler_options()).lower(free).compile().as_text() or ""
+    lengths = lengths_of_sums(program)
+    assert lengths and max(lengths.values()) <= 16, lengths
+
+
+def lengths_of_sums(program: str) -> dict[str, int]:
+    """How many operations there are in each loop of a compiled program that adds up samples lane by lane."""
+    loops = re.findall(r"^%(\S+) \(.*\{\n((?:  .*\n)+)\}", program, re.MULTILINE)
+    arithmetic = r" = [fs]\d+\S* (?:add|multiply|subtract|divide|select|minimum|maximum|sqrt|convert)\("
+    lengths = {}
+    for name, loop in loops:
+        lanes = re.findall(r" = f\d+\[(?:\d+,)*(\d+)\]\S* reduce\(", loop)
+        if lanes and max(map(int, lanes)) >= LANES:
+            lengths[name] = len(re.findall(arithmetic, loop))
+    return lengths

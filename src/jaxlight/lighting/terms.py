@@ -58,7 +58,7 @@ def received(
     limits = Limits(lights.unit_length, lights.attenuation, lights.radius, lights.cone)
     framed = None
     if lights.asks_distance and lights.to_local is not None:
-        framed = stage.each(_distance_in_frame, lights.to_local, lights.local_place, tile.position)
+        framed = stage.each(_distance_in_frame, lights.to_local, lights.local_place, tile.position, wide=(0, 1))
     ambient = None if lights.ambient is None else stage.each(_ambient, lights.ambient, material.ambient_intensity)
     # A plane for every light: derivatives are then added up light by light, and only those sums over lights.
     exponent = None if highlight is None else stage.each(partial(_exponents, lights.count), material.shininess)
@@ -337,9 +337,9 @@ def haze(stage: Stage, fog: WorldFog, fog_type: str, tile: Geometry) -> Haze:
     """The fog interpolant, with d_V measured in the fog's coordinate system."""
     distance = tile.distance
     if fog.to_local is not None:
-        distance = stage.each(_distance_in_fog, fog.to_local, tile.eye, tile.position)
+        distance = stage.each(_distance_in_fog, fog.to_local, tile.eye, tile.position, wide=(0,))
     interpolant = factors.linear_fog if fog_type == "LINEAR" else factors.exponential_fog
-    return Haze(*stage.each(interpolant, distance, fog.visibility_range))
+    return Haze(*stage.each(interpolant, distance, fog.visibility_range, wide=(1,)))
 
 
 def _distance_in_fog(to_local: Matrix, eye: Vector, position: Vector) -> Array:
