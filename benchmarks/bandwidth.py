@@ -13,7 +13,7 @@ import sys
 import tyro
 
 from .contenders.base import Operation
-from .entrants import JAXLIGHT, PEERS, Entrant
+from .entrants import JAXLIGHT, JAXLIGHT_BY_TILES, PEERS, Entrant, named
 from .harness import Case, Measurement, Plan, measure
 from .report import conditions, own_failures, save, skipped_lines, table
 from .settings import Settings, say
@@ -31,6 +31,8 @@ class Options(Settings):
 
     lights: tuple[int, ...] = (1, 8, 64)
     samples: int = 2**22
+    only: tuple[str, ...] = ()
+    """Names of the contenders to run beside `stream`; default: all."""
 
 
 def main() -> int:
@@ -40,12 +42,14 @@ def main() -> int:
     plan: Plan = dataclasses.replace(options.plan(memory=False), cores=options.cores)
     samples = 2**14 if options.quick else options.samples
     naive = next(entrant for entrant in PEERS if entrant.label == "naive JAX")
-    entrants = [STREAM, *(dataclasses.replace(entrant, environment=_SHARED) for entrant in (JAXLIGHT, naive))]
+    entrants = named((JAXLIGHT, JAXLIGHT_BY_TILES, naive), options.only)
+    entrants = [STREAM, *(dataclasses.replace(entrant, environment=_SHARED) for entrant in entrants)]
     cases = [
         Case(entrant, operation, entrant.within_limits(Workload(samples, lights)))
         for lights in options.lights
         for operation in _OPERATIONS
         for entrant in entrants
+        if operation != "forward" or entrant.label != JAXLIGHT_BY_TILES.label
     ]
     measurements = measure(cases, plan, say=say)
     rows = [row for m in measurements if not m.skipped for row in [_row(m, measurements)]]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import importlib.util
+import sys
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from .contenders.base import Contender
@@ -44,6 +46,16 @@ class Entrant:
     def within_limits(self, work: Workload) -> Workload:
         """The workload with as many samples as this contender takes."""
         return dataclasses.replace(work, samples=min(work.samples, self.max_light_samples // work.lights))
+
+
+def named(entrants: Iterable[Entrant], only: Sequence[str]) -> list[Entrant]:
+    """Those of these names; all if no name is given. Ends the program, saying which there are, if none is left."""
+    known = list(entrants)
+    chosen = [entrant for entrant in known if not only or entrant.label in only]
+    if not chosen:
+        print(f"--only: known are {', '.join(entrant.label for entrant in known)}", file=sys.stderr)
+        sys.exit(2)
+    return chosen
 
 
 JAXLIGHT = Entrant("jaxlight", "jaxlight_shade:JaxlightShade", ("jax", "equinox"))

@@ -10,7 +10,7 @@ from pathlib import Path
 import tyro
 
 from . import plots
-from .entrants import JAXLIGHT, JAXLIGHT_BY_TILES, PEERS, Entrant
+from .entrants import JAXLIGHT, JAXLIGHT_BY_TILES, PEERS, Entrant, named
 from .gate import Metric, run_gate
 from .harness import Case, Measurement, measure
 from .report import conditions, own_failures, save, skipped_lines, table
@@ -46,10 +46,7 @@ class Options(Settings):
 def main() -> int:
     """Measures, prints and saves; the exit status."""
     options = tyro.cli(Options, description=__doc__)
-    entrants = [entrant for entrant in (*_OWN, *PEERS) if not options.only or entrant.label in options.only]
-    if not entrants:
-        print(f"--only: known are {', '.join(e.label for e in (*_OWN, *PEERS))}", file=sys.stderr)
-        return 2
+    entrants = named((*_OWN, *PEERS), options.only)
     samples = 2**14 if options.quick else options.samples
     plan = options.plan()
     measurements: list[Measurement] = []

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from colored_bodies import colored_bodies
 from fit_scenes import precision
-from jaxlight import Scene, nodes
+from jaxlight import Scene, nodes, processor
 from jaxlight.lighting import culling, make_plan, shade
-from jaxlight.lighting.clusters import InLanes, InRows
 from jaxlight.lighting.plan import LightPlan
 from jaxlight.lighting.vectors import Vector
 from jaxlight.lighting.world import lights_in_world
@@ -115,50 +115,10 @@ def test_more_lights_than_a_tile_collects_at_once(monkeypatch: pytest.MonkeyPatc
 @pytest.fixture
 def few_at_once(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """So few clusters side by side that small tiles have to put theirs into an order."""
-    for arrangement in (InLanes, InRows):
-        monkeypatch.setattr(arrangement, "at_once", 8)
+    monkeypatch.setattr(processor, "CPU", processor.CPU._replace(clusters=8, derived_clusters=8))
     jax.clear_caches()
     yield
     jax.clear_caches()
-
-
-def colored_bodies() -> tuple[Scene, SampleBuffer]:
-    """Two sheets, one textured and one with vertex colours, both with an alpha that differs from sample to sample.
-
-    They are under many point lights and spots, most of them on one side, and one directional light.
-    """
-    random = np.random.default_rng(9)
-    appearance = nodes.Appearance(material=nodes.Material(specular_color=(0.4, 0.5, 0.6), shininess=0.1))
-    image = nodes.ImageTexture(image=random.uniform(0, 1, (8, 8, 4)))
-    corners = np.array([[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]], float)
-    uv = nodes.TextureCoordinate(point=[(0, 0), (1, 0), (1, 1), (0, 1)])
-    colors = nodes.ColorRGBA(color=random.uniform(0.2, 1, (4, 4)))
-
-    def sheet(**fields: Any) -> nodes.IndexedFaceSet:
-        return nodes.IndexedFaceSet(coord=nodes.Coordinate(point=corners), coord_index=[0, 1, 2, 3, -1], **fields)
-
-    textured = dataclasses.replace(appearance, texture=image)
-    bodies = [
-        nodes.Transform(
-            translation=(-2.1, 0, 0), children=[nodes.Shape(appearance=textured, geometry=sheet(tex_coord=uv))]
-        ),
-        nodes.Transform(
-            translation=(2.1, 0, 0), children=[nodes.Shape(appearance=appearance, geometry=sheet(color=colors))]
-        ),
-    ]
-
-    def place() -> tuple[float, float, float]:
-        return (float(8 * random.uniform() ** 2 - 4), float(random.uniform(-2, 2)), 0.3)
-
-    points = [nodes.PointLight(location=place(), radius=0.7, color=random.uniform(size=3)) for _ in range(70)]
-    spots = [
-        nodes.SpotLight(location=place(), direction=(0.2, 0, -1), radius=1, cut_off_angle=0.9, beam_width=0.5)
-        for _ in range(40)
-    ]
-    sun = nodes.DirectionalLight(direction=(0.3, 0.1, -1), intensity=0.2)
-    view = nodes.Viewpoint(position=(0, 0, 9))
-    scene = Scene.from_nodes([view, *bodies, sun, *points, *spots], dtype=np.float32)
-    return dataclasses.replace(scene, document=None), rasterize(scene, width=80, height=48)
 
 
 def test_clusters_are_shaded_in_any_order(few_at_once: None) -> None:

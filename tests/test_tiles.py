@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from fit_scenes import precision
-from jaxlight import Scene, compiler_options, nodes
+from jaxlight import Scene, compiler_options, nodes, processor
 from jaxlight.fit import View
 from jaxlight.fit.normal import loss_and_gradient
 from jaxlight.fit.problem import make_problem
-from jaxlight.lighting import cores, make_plan, shade, shade_tiles, stages
+from jaxlight.lighting import cores, make_plan, shade, shade_tiles
 from jaxlight.raster import SampleBuffer
 
 COUNT = 5000
@@ -79,8 +79,7 @@ def test_lights_in_chunks_have_the_same_colours_and_derivatives(monkeypatch: pyt
         return jnp.sum(jnp.sin(3 * colors))
 
     at_once = jax.jit(jax.value_and_grad(loss))(free)
-    monkeypatch.setattr(stages, "LARGEST_PLANE", 8 * 256)
-    monkeypatch.setattr(stages, "CHUNK", 8 * 256)
+    monkeypatch.setattr(processor, "CPU", processor.CPU._replace(largest_plane=8 * 256, chunk=8 * 256))
     jax.clear_caches()
     in_chunks = jax.jit(jax.value_and_grad(loss))(free)
     jax.clear_caches()

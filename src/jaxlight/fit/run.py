@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
@@ -26,6 +25,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..lighting.compiling import is_traced, quick_jit
 from ..lighting.cores import in_threads, shares_of
 from ..lighting.tiles import Share
+from ..processor import for_cpu
 from ..scene.fields import non_negative
 from . import normal
 from .moments import Moments
@@ -140,7 +140,7 @@ def advance(problem: Problem, solver: BoundedLevenbergMarquardt, state: FitState
 
 def _shares(problem: Problem, state: FitState) -> int:
     """Among how many cores the tiles of a step are divided; the same in all steps, which then share compiled code."""
-    if not _is_by_tiles(problem) or jax.default_backend() != "cpu" or is_traced(problem, state):
+    if not _is_by_tiles(problem) or not for_cpu() or is_traced(problem, state):
         return 1
     return shares_of(sum(math.prod(view.root_weight.shape) // view.root_weight.shape[-2] for view in problem.views))
 

@@ -18,6 +18,7 @@ from jax import lax
 from jax.experimental.layout import Layout, with_layout_constraint
 from jaxtyping import Array, Float, Int
 
+from ..processor import sizes
 from .picking import picked
 from .unstored import Inlined, is_unstored, stored
 
@@ -28,10 +29,13 @@ Pick = Callable[[Int[Array, "entries clusters"]], list[Array]]
 class Arrangement(Protocol):
     """Of clusters in planes."""
 
-    at_once: int
-    """Clusters that work through their lists side by side."""
     entries: int
     """Of its list that each works through at once."""
+
+    @staticmethod
+    def at_once() -> int:
+        """How many clusters work through their lists side by side."""
+        ...
 
     @staticmethod
     def arranged(planes: Float[Array, "components clusters samples"], order: Array | None) -> Array:
@@ -67,8 +71,11 @@ class Arrangement(Protocol):
 class InLanes:
     """Planes [samples of a cluster, clusters]."""
 
-    at_once = 128
     entries = 4
+
+    @staticmethod
+    def at_once() -> int:
+        return sizes().derived_clusters
 
     @staticmethod
     def arranged(planes: Array, order: Array | None) -> Array:
@@ -80,11 +87,11 @@ class InLanes:
 
     @staticmethod
     def some(planes: Any, first: Array) -> Any:
-        return _cut(planes, first, InLanes.at_once, -1)
+        return _cut(planes, first, InLanes.at_once(), -1)
 
     @staticmethod
     def numbers_of_some(planes: Any) -> Any:
-        return jax.tree.map(lambda plane: plane[..., : InLanes.at_once], planes)
+        return jax.tree.map(lambda plane: plane[..., : InLanes.at_once()], planes)
 
     @staticmethod
     def in_parts(function: Callable[[Array, Any], Any], total: Any, firsts: Array) -> Any:
@@ -110,8 +117,11 @@ class InLanes:
 class InRows:
     """Planes [clusters, samples of a cluster]; nothing is differentiated."""
 
-    at_once = 64
     entries = 8
+
+    @staticmethod
+    def at_once() -> int:
+        return sizes().clusters
 
     @staticmethod
     def arranged(planes: Array, order: Array | None) -> Array:
@@ -123,7 +133,7 @@ class InRows:
 
     @staticmethod
     def some(planes: Any, first: Array) -> Any:
-        return _cut(planes, first, InRows.at_once, -2)
+        return _cut(planes, first, InRows.at_once(), -2)
 
     @staticmethod
     def numbers_of_some(planes: Any) -> Any:
@@ -131,10 +141,9 @@ class InRows:
 
     @staticmethod
     def in_parts(function: Callable[[Array, Any], Any], total: Any, firsts: Array) -> Any:
-        """The clusters are the first axis of `total`."""
-        own = jax.tree.map(lambda rows: rows.reshape(len(firsts), -1, *rows.shape[1:]), total)
-        parts = lax.map(lambda part: function(*part), (firsts, own))
-        return jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), parts)
+        own = jax.tree.map(lambda rows: rows.reshape(len(firsts), -1, *rows.shape[1:]), _rows_first(total))
+        parts = lax.map(lambda part: _rows_first(function(part[0], _rows_in_place(part[1]))), (firsts, own))
+        return _rows_in_place(jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), parts))
 
     @staticmethod
     def picking(boundary: Callable[..., Any], numbers: Sequence[Array]) -> Pick:
@@ -169,6 +178,16 @@ def _cut(planes: Any, first: Array, size: int, axis: int) -> Any:
         return Inlined(partial(lax.dynamic_slice_in_dim, slice_size=size, axis=axis), (plane, first))
 
     return jax.tree.map(of, planes, is_leaf=is_unstored)
+
+
+def _rows_first(planes: Any) -> Any:
+    """Planes [..., rows, lanes] with rows as the first axis, as numbers side by side have them."""
+    return planes if is_unstored(planes) else jax.tree.map(lambda plane: jnp.moveaxis(plane, -2, 0), planes)
+
+
+def _rows_in_place(planes: Any) -> Any:
+    """What was given to `_rows_first`."""
+    return planes if is_unstored(planes) else jax.tree.map(lambda plane: jnp.moveaxis(plane, 0, -2), planes)
 
 
 def _with_rows(plane: Float[Array, "*components entries lanes"]) -> Float[Array, "*components entries 1 lanes"]:

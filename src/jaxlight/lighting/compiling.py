@@ -15,6 +15,8 @@ import jax
 from jax.core import Tracer, eval_context
 from jax.extend.core import get_opaque_trace_state
 
+from ..processor import for_cpu
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 WANTED: Mapping[str, Any] = {
@@ -70,7 +72,7 @@ def compiler_options(*, all_cores: bool = False) -> dict[str, Any]:
         all_cores: whether XLA may share out the loops of a call among cores. It gains in forward passes under up to
             four lights and in gradients under some dozens; in others the cores wait for each other.
     """
-    return dict(cpu_options(all_cores=all_cores)) if jax.default_backend() == "cpu" else {}
+    return dict(cpu_options(all_cores=all_cores)) if for_cpu() else {}
 
 
 def is_traced(*arguments: Any) -> bool:

@@ -203,7 +203,7 @@ def _received_from_listed(
     ordinary = stage(_all_ordinary, *lax.stop_gradient((lights, count, extent)))
     stage = dataclasses.replace(stage, ordinary=stage.ordinary & for_all_mapped(ordinary))
     length = _lengths(lists)
-    entries, at_once = stage.clusters.entries, stage.clusters.at_once
+    entries, at_once = stage.clusters.entries, stage.clusters.at_once()
     planes, tree = jax.tree.flatten(lights)
     pick = stage.clusters.picking(stage, [plane[..., 0, 0] for plane in planes])
 

@@ -1,7 +1,8 @@
 """A stage of a derivative, as a primitive of its own: a linear map behind a boundary (see `stages`).
 
 As a conditional, JAX would split it into what is known and what is linear, and have the known half, a conditional too,
-hand copies of all planes that it was given to the other. The primitive stays whole until it is lowered.
+hand copies of all planes that it was given to the other. The primitive stays whole until it is lowered; on other
+processors than the CPU, which have no use for the boundary, to the last of its forms.
 """
 
 from __future__ import annotations
@@ -59,6 +60,10 @@ def _evaluated(
     return lax.switch(which, [never, *map(evaluated, jaxprs)], *operands)
 
 
+def _last_form(which: Array, *operands: Array, jaxprs: _Forms, known: int) -> Sequence[Array]:
+    return jaxpr_as_fun(jaxprs[-1])(*operands)
+
+
 def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, jaxprs: _Forms, known: int) -> Any:
     which, *operands = primals
     changes = tangents[1:]
@@ -112,7 +117,7 @@ _linear_stage = Primitive("linear_stage")
 _linear_stage.multiple_results = True
 _linear_stage.def_impl(_evaluated)
 _linear_stage.def_abstract_eval(lambda *_, jaxprs, **others: jaxprs[0].out_avals)
-mlir.register_lowering(_linear_stage, mlir.lower_fun(_evaluated, multiple_results=True))
+mlir.register_lowering(_linear_stage, mlir.lower_fun(_last_form, multiple_results=True))
 mlir.register_lowering(
     _linear_stage, mlir.lower_fun(partial(_evaluated, evaluated=with_own_sums), multiple_results=True), platform="cpu"
 )

@@ -39,12 +39,18 @@ def in_one_loop(jaxpr: ClosedJaxpr, planes: Sequence[Array], shape: tuple[int, .
     return _one_loop.bind(*planes, jaxpr=jaxpr, shape=shape)
 
 
-def _on_planes(*planes: Array, jaxpr: ClosedJaxpr, shape: tuple[int, ...]) -> Array:
+def on_planes(jaxpr: ClosedJaxpr, planes: Sequence[Array], shape: tuple[int, ...]) -> list[Array]:
+    """The same function, any number of results, each a plane of its own."""
+
     def applied(primitive: Primitive, numbers: Sequence[Any], params: dict[str, Any]) -> Array:
         return primitive.bind(*(_repeated(number, shape) for number in numbers), **params)
 
     results = unrolled(jaxpr, applied)(*(_repeated(plane, shape) for plane in planes))
-    return jnp.stack([_repeated(result, shape) for result in results], axis=-1)
+    return [_repeated(result, shape) for result in results]
+
+
+def _stacked(*planes: Array, jaxpr: ClosedJaxpr, shape: tuple[int, ...]) -> Array:
+    return jnp.stack(on_planes(jaxpr, planes, shape), axis=-1)
 
 
 def _in_loop(*planes: Array, jaxpr: ClosedJaxpr, shape: tuple[int, ...]) -> Array:
@@ -95,8 +101,8 @@ def _count(jaxpr: ClosedJaxpr) -> int:
 
 
 _one_loop = Primitive("one_loop")
-_one_loop.def_impl(_on_planes)
+_one_loop.def_impl(_stacked)
 _one_loop.def_abstract_eval(_side_by_side)
-mlir.register_lowering(_one_loop, mlir.lower_fun(_on_planes, multiple_results=False))
+mlir.register_lowering(_one_loop, mlir.lower_fun(_stacked, multiple_results=False))
 mlir.register_lowering(_one_loop, mlir.lower_fun(_in_loop, multiple_results=False), platform="cpu")
 batching.primitive_batchers[_one_loop] = _batched

@@ -82,7 +82,8 @@ def rows_of_tiles(
     stage, near, inputs = read_tile(
         SampleLoops(_always(how, samples, first), lanes=lanes), how, single, samples, None, first, lanes
     )
-    rows = _evaluated(how, near, stage, inputs).numbers
+    color = _evaluated(how, near, stage, inputs)
+    rows = color.numbers if isinstance(color, SideBySide) else jnp.moveaxis(color, 0, -1)
     if near is not None and near.order is not None:
         rows = rows[inverse(near.order)]
     return rows.astype(compute_dtype(samples)).reshape(-1, rows.shape[-1])

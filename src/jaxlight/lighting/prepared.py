@@ -14,6 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool
 
+from ..processor import for_cpu
 from ..raster.samples import LANES, SampleBuffer
 from ..scene import Materials, Scene, Surface
 from .highlight import highlight_of
@@ -46,8 +47,8 @@ class Prepared(eqx.Module):
 def prepare(scene: Scene, samples: SampleBuffer, plan: Plan, together: int = 1) -> Prepared:
     """Materials, lights and fog as the tiles of these samples read them, `together` of them at once."""
     dtype = compute_dtype(samples)
-    # As many rows however many tiles: sums of more are slower. Clusters have a lane each.
-    lanes = min(together * lanes_of(samples), samples.tile)
+    # On the CPU as many rows however many tiles: sums of more are slower. Clusters have a lane each.
+    lanes = min(together * LANES, samples.tile) if for_cpu() else 1
     if plan.culled:
         lanes = together * samples.tile // samples.cluster
     kinds = [(scene.directional, plan.directional), (scene.point, plan.point), (scene.spot, plan.spot)]
@@ -142,11 +143,6 @@ def viewer_of(samples: SampleBuffer, plan: Plan) -> Vector | None:
 def compute_dtype(samples: SampleBuffer) -> jnp.dtype:
     """float64 for float64 samples, float32 for all others: half precision is widened at the door."""
     return jnp.promote_types(samples.position_planes.dtype, jnp.float32)
-
-
-def lanes_of(samples: SampleBuffer) -> int:
-    """Lanes of a tile: fewer than LANES for tiny tiles."""
-    return min(LANES, samples.tile)
 
 
 def material_row(prepared: Prepared, surface: Surface, row: Any, single: int | None) -> MaterialRow | None:

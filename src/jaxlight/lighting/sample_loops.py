@@ -1,7 +1,8 @@
 """Stages put together into loops over samples, for colours that are not differentiated.
 
 A loop evaluates the functions of its stages for one sample after the other and keeps all that is between them in
-registers; planes that go from stage to stage have to go through the cache.
+registers; planes that go from stage to stage have to go through the cache. For a GPU the same functions, number by
+number, are operations on planes, of which XLA makes such loops by itself.
 """
 
 from __future__ import annotations
@@ -16,10 +17,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, Float, Int
 
+from ..processor import for_cpu
 from .clusters import Arrangement, InRows
-from .one_loop import in_one_loop
+from .one_loop import in_one_loop, on_planes
 from .stages import Stage
 from .unstored import Unstored, is_unstored, stored
 
@@ -73,7 +76,7 @@ class SampleLoops(Stage):
         return self.sum(with_part, total, jax.tree.leaves(parts)[0].shape[0])
 
     def together(self, function: Callable[..., Any], *operands: Any) -> Any:
-        """function(stage, *operands) in one loop; gives `SideBySide`.
+        """function(stage, *operands) in one loop; gives `SideBySide`, or planes where these are quicker.
 
         Operands and results are pytrees of arrays [..., rows or 1, lanes or 1].
         """
@@ -86,18 +89,25 @@ class SampleLoops(Stage):
 
         results = jax.eval_shape(partial(of_sample, True), single)
         leaves, tree = jax.tree.flatten(results)
-        count = sum(math.prod(leaf.shape) for leaf in leaves)
+        shapes, shape = tuple(leaf.shape[:-2] for leaf in leaves), (rows, self.lanes)
+        count = sum(map(math.prod, shapes))
+
+        def program(ordinary: bool) -> ClosedJaxpr:
+            return jax.make_jaxpr(lambda given: jax.tree.leaves(of_sample(ordinary, given)))(single)
 
         def never() -> Array:
-            return jnp.full((rows, self.lanes, count), self.unreached(), leaves[0].dtype)
+            return jnp.full((*shape, count), self.unreached(), leaves[0].dtype)
 
         def loop(ordinary: bool) -> Array:
-            jaxpr = jax.make_jaxpr(lambda given: jax.tree.leaves(of_sample(ordinary, given)))(single)
-            return in_one_loop(jaxpr, _single_planes(operands), (rows, self.lanes))
+            return in_one_loop(program(ordinary), _single_planes(operands), shape)
 
         with jax.named_scope(f"loop.{getattr(function, 'func', function).__name__.lstrip('_')}"):
+            if not for_cpu():
+                planes = iter(on_planes(program(False), _single_planes(operands), shape))
+                own = [jnp.stack([next(planes) for _ in range(math.prod(s))]).reshape(*s, *shape) for s in shapes]
+                return tree.unflatten(own)
             numbers = lax.switch(self.which, [never, lambda: loop(True), lambda: loop(False)])
-        return SideBySide(numbers, tuple(leaf.shape[:-2] for leaf in leaves), tree)
+        return SideBySide(numbers, shapes, tree)
 
 
 def _single_planes(operands: Any) -> list[Float[Array, "#rows #lanes"]]:

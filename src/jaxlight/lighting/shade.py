@@ -105,8 +105,10 @@ def _shade(
     elif options is not None:
         raise ValueError("options: a plan has options of its own; give one of the two")
     scene = _without_document(scene)
-    if not _runs_alone_on_cpu(scene, samples):
+    if is_traced(scene, samples):
         return _shaded(form, plan, scene, samples)
+    if not _is_on_cpu(samples):
+        return _formed_in_jit(form, plan, scene, samples)
     runs, shares = surface_runs(scene.surfaces, samples), shares_of(samples.slots)
     if all(is_one_loop(run, scene, plan) for run in runs):
         return _shaded_by_all_cores(form, plan, scene, samples)
@@ -192,10 +194,7 @@ def _joined(form: _Form, lengths: tuple[int, ...], shares: list[list[Array]], sa
     return form(_in_one(runs, samples), samples)
 
 
-def _runs_alone_on_cpu(scene: Scene, samples: SampleBuffer) -> bool:
-    """True outside jit, grad and vmap, on the CPU."""
-    if is_traced(scene, samples):
-        return False
+def _is_on_cpu(samples: SampleBuffer) -> bool:
     planes = samples.position_planes
     devices = planes.devices() if isinstance(planes, jax.Array) else jax.devices()
     return all(device.platform == "cpu" for device in devices)

@@ -3,6 +3,8 @@
 Left alone, XLA fuses a tile's whole expression, and the slice that cuts the tile out of the buffer, into loops that it
 evaluates element by element, several times over. It drops `lax.optimization_barrier` before it fuses, but never
 moves work across a conditional whose predicate it cannot know. The results of a stage come from one loop (`at_once`).
+A GPU has no such caches, and waits where a program has to decide: for it there is no boundary, and of two forms of a
+function always that with care.
 
 Profiles know a stage by the name of its function (`jax.named_scope`).
 """
@@ -21,20 +23,12 @@ from jax import lax
 from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array, Bool, Int
 
+from ..processor import for_cpu, sizes
 from .at_once import at_once
 from .clusters import Arrangement, InLanes
 from .running_sum import running_sum
 from .stage_derivatives import Forms, How, each, name_of
 from .unstored import stored
-
-PLANE = 16384
-"""Lights times samples that are best evaluated at once: planes so large stay in the cache."""
-
-CHUNK = 4 * PLANE
-"""So many of a chunk, where all lights would be more than LARGEST_PLANE."""
-
-LARGEST_PLANE = 8 * PLANE
-"""Up to so many are evaluated at once, although they leave the cache: chunks are evaluated anew for derivatives."""
 
 
 class Stage(eqx.Module):
@@ -73,7 +67,9 @@ class Stage(eqx.Module):
 
     def lights_at_once(self, lights: int, samples: int) -> int:
         """How many of so many lights are evaluated at once for so many samples."""
-        return lights if lights * samples <= LARGEST_PLANE else max(1, CHUNK // samples)
+        limits = sizes()
+        most = limits.lights if lights * samples <= limits.largest_plane else max(1, limits.chunk // samples)
+        return min(lights, most)
 
     def sum(self, term: Callable[[Any, Array], Any], total: Any, count: Int[Array, ""] | int) -> Any:
         """The sum of `total` (None: 0) and `count` terms: term(so far, number), or so far and term(None, number)."""
@@ -119,6 +115,9 @@ class Stage(eqx.Module):
         return self._bounded(own, operands, name_of(forms[-1]))
 
     def _bounded(self, forms: Forms, operands: tuple[Any, ...], name: str) -> Any:
+        if not for_cpu():
+            with jax.named_scope(f"stage.{name}"):
+                return forms[-1](*stored(operands))
         traced = [jax.make_jaxpr(partial(_of_stored, form), return_shape=True)(*operands) for form in forms]
         shapes, tree = jax.tree.flatten(traced[0][1])
 

@@ -190,7 +190,7 @@ def _near(
         find_near(stage, own, scope, extent) if own is not None and plan is not None and plan.culled else None
         for own, scope, plan in zip(lights, in_scope, how.plan.lights, strict=True)
     )
-    if how.count * each <= stage.clusters.at_once:
+    if how.count * each <= stage.clusters.at_once():
         return Near(extent, found, None)
     order = by_length([own for own in found if own is not None])
     found = tuple(None if own is None else own.of(order) for own in found)

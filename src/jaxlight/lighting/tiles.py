@@ -15,13 +15,13 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from ..processor import sizes
 from ..raster.samples import SampleBuffer
 from ..scene import Scene, Surface
 from .changes import with_change, without_zeros
 from .one_tile import Color, rows_of_tiles, tile_color
 from .plan import Plan
 from .prepared import Prepared, compute_dtype, on_one_lane
-from .stages import PLANE
 from .surface import sampled_texture
 from .tile_inputs import Run
 
@@ -51,8 +51,8 @@ def tiles_at_once(scene: Scene, samples: SampleBuffer, plan: Plan) -> int:
     """How many neighbouring tiles are evaluated together: several where few lights would leave the planes short."""
     if plan.culled:
         return samples.group
-    lights, count = max(1, *_lights_by_kind(scene, plan)), samples.group
-    while count > 1 and count * samples.tile * lights > PLANE:
+    lights, count = min(max(1, *_lights_by_kind(scene, plan)), sizes().lights), samples.group
+    while count > 1 and count * samples.tile * lights > sizes().plane:
         count //= 2
     return count
 

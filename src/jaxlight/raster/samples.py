@@ -15,15 +15,14 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from ..processor import sizes
 from ..scene.fields import float_type, largest_of, whole
 
-MAX_TILE = 1024
 MIN_TILE = 64
-MAX_GROUP = 8
 MANY_LIGHTS = 32
 """From so many lights of a kind on, samples are shaded with those only that reach them, and stored by place."""
 LANES = 64
-"""Columns in which a tile's samples stand; sample i of a tile is in lane i % LANES."""
+"""Columns in which a tile's samples stand on the CPU; sample i of a tile is in lane i % LANES."""
 CLUSTER = 16
 """Samples, one after the other in a tile, that share a list of the lights that may reach them."""
 
@@ -360,15 +359,15 @@ def _neighbours_together(position: np.ndarray, smallest: int) -> np.ndarray:
 
 
 def _tile_size(samples: int, surfaces: int) -> int:
-    """The largest power of two that wastes little on padding: MAX_TILE for images, less for few samples a surface."""
-    wanted = max(MIN_TILE, min(MAX_TILE, samples // (4 * max(surfaces, 1))))
+    """The largest power of two that wastes little on padding: that for images, less for few samples a surface."""
+    wanted = max(MIN_TILE, min(sizes().tile, samples // (4 * max(surfaces, 1))))
     return 1 << (wanted.bit_length() - 1)
 
 
 def _group_size(tiles: np.ndarray) -> int:
-    """The largest power of two up to MAX_GROUP to which the surfaces' tiles can be filled up at little waste."""
-    group = MAX_GROUP
-    while group > 1 and np.sum(-tiles % group) > np.sum(tiles) // 16:
+    """The largest power of two to which the surfaces' tiles can be filled up at little waste."""
+    group, most = sizes().group, int(np.sum(tiles) * sizes().padding)
+    while group > 1 and np.sum(-tiles % group) > most:
         group //= 2
     return group
 

@@ -1,0 +1,53 @@
+"""What programs are written for: a processor with caches, or one that works on very many numbers side by side.
+
+What is computed is the same to the last operation. It differs in how it is divided: on the CPU into loops over planes
+that stay in a core's cache, on a GPU into as few steps as memory allows, each of which costs the start of a program.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+
+
+class Sizes(NamedTuple):
+    """How much is evaluated at once."""
+
+    tile: int
+    """Samples a tile of images; a power of two."""
+    group: int
+    """Neighbouring tiles of one surface that lie in a block; a power of two."""
+    padding: float
+    """The share of all tiles that may be padding, so that blocks are large."""
+    plane: int
+    """Lights times samples for which tiles are put together."""
+    lights: int
+    """Lights evaluated at once at most, where derivatives are taken."""
+    largest_plane: int
+    """Lights times samples up to which all lights are evaluated at once."""
+    chunk: int
+    """Lights times samples of a part, where all lights would be more than that."""
+    clusters: int
+    """Clusters of samples that work through their lists of lights side by side."""
+    derived_clusters: int
+    """The same, where derivatives are taken."""
+
+
+# Planes of 16384 stay in a core's cache. Larger ones leave it, but parts are evaluated anew for derivatives.
+CPU = Sizes(1024, 8, 1 / 16, 2**14, 2**17, 2**17, 2**16, 64, 128)
+
+GPU = Sizes(2**18, 16, 1 / 4, 2**24, 16, 2**25, 2**24, 2**14, 2**14)
+
+
+def for_cpu() -> bool:
+    """Whether what is traced or stored now is for the CPU: JAX's default device, or its default backend, is one."""
+    device = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]  # a setting of JAX
+    if device is None:
+        return jax.default_backend() == "cpu"
+    return (device if isinstance(device, str) else device.platform) == "cpu"
+
+
+def sizes() -> Sizes:
+    """How much is evaluated at once where arrays go now."""
+    return CPU if for_cpu() else GPU
