@@ -20,8 +20,8 @@ class Sizes(NamedTuple):
     """Neighbouring tiles of one surface that lie in a block; a power of two."""
     padding: float
     """The share of all tiles that may be padding, so that blocks are large."""
-    plane: int
-    """Lights times samples for which tiles are put together."""
+    planes: int
+    """Lights, and one more for what is of samples alone, times samples for which tiles are put together."""
     lights: int
     """Lights evaluated at once at most, where derivatives are taken."""
     largest_plane: int
@@ -34,10 +34,11 @@ class Sizes(NamedTuple):
     """The same, where derivatives are taken."""
 
 
-# Planes of 16384 stay in a core's cache. Larger ones leave it, but parts are evaluated anew for derivatives.
-CPU = Sizes(1024, 8, 1 / 16, 2**14, 2**17, 2**17, 2**16, 64, 128)
+# What some ten thousand numbers are computed from stays in a core's cache. Many lights leave it: parts of them are
+# evaluated anew for derivatives.
+CPU = Sizes(1024, 8, 1 / 16, 10_240, 2**17, 2**17, 2**16, 64, 128)
 
-GPU = Sizes(2**18, 16, 1 / 4, 2**24, 16, 2**25, 2**24, 2**14, 2**14)
+GPU = Sizes(2**18, 16, 1 / 4, 2**25, 16, 2**25, 2**24, 2**14, 2**14)
 
 
 def for_cpu() -> bool:

@@ -52,7 +52,8 @@ def tiles_at_once(scene: Scene, samples: SampleBuffer, plan: Plan) -> int:
     if plan.culled:
         return samples.group
     lights, count = min(max(1, *_lights_by_kind(scene, plan)), sizes().lights), samples.group
-    while count > 1 and count * samples.tile * lights > sizes().plane:
+    # Planes of samples count as much as those of one light more.
+    while count > 1 and count * samples.tile * (lights + 1) > sizes().planes:
         count //= 2
     return count
 
