@@ -59,8 +59,8 @@ def named(entrants: Iterable[Entrant], only: Sequence[str]) -> list[Entrant]:
 
 
 JAXLIGHT = Entrant("jaxlight", "jaxlight_shade:JaxlightShade", ("jax", "equinox"))
-JAXLIGHT_BY_TILES = Entrant("jaxlight, tile by tile", "jaxlight_fit:JaxlightFit", ("jax", "equinox", "optimistix"))
-"""For value and gradient: differentiates every tile as it is evaluated, as fits do; JAXLIGHT calls `jax.grad`."""
+JAXLIGHT_BY_TILES = dataclasses.replace(JAXLIGHT, label="jaxlight, tile by tile", options=(("by_tiles", True),))
+"""For value and gradient: of a loss by `sum_over_samples`; JAXLIGHT's is one of the colours of the whole image."""
 
 PEERS = (
     # [N, L, 3] intermediates: 64 lights on 2^20 samples would take 9 GB.

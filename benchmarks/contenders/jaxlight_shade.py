@@ -10,7 +10,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlight.lighting import LightingOptions, Plan, compiler_options, make_plan, shade_slots, shade_tiles
+from jaxlight.lighting import (
+    LightingOptions,
+    Plan,
+    compiler_options,
+    make_plan,
+    shade_slots,
+    shade_tiles,
+    sum_over_samples,
+)
 from jaxlight.raster import SampleBuffer
 from jaxlight.scene import Scene, nodes
 
@@ -81,6 +89,7 @@ class JaxlightShade(Contender):
         lighting: fields of LightingOptions, as pairs.
         by_samples: gradients are by positions, normals and colours of all samples, too.
         by_place: how samples are stored; None: as `rasterize` stores them.
+        by_tiles: the loss is a `sum_over_samples`.
     """
 
     def __init__(
@@ -94,6 +103,7 @@ class JaxlightShade(Contender):
         lighting: Any = (),
         by_samples: bool = False,
         by_place: bool | None = None,
+        by_tiles: bool = False,
     ) -> None:
         dtype = jnp.dtype(precision)
         # Half-precision samples are shaded with single-precision fields.
@@ -101,7 +111,7 @@ class JaxlightShade(Contender):
         by_place = work.cover > 0 if by_place is None else by_place
         self._samples = samples_of(arrays, dtype, tile, materials, by_place)
         self._options = LightingOptions(**dict(lighting))
-        self._skip, self._by_samples = skip, by_samples
+        self._skip, self._by_samples, self._by_tiles = skip, by_samples, by_tiles
         self._kind = work.kind
         self._names = list(arrays.parameters)
         # Targets in storage order; padding weighs nothing.
@@ -113,6 +123,8 @@ class JaxlightShade(Contender):
         self._target = jnp.asarray(in_tiles, self._scene.materials.diffuse_color.dtype)
         weight = weight.reshape(-1, 1, self._samples.tile)
         self._weight = None if slots == work.samples else jnp.asarray(weight, self._target.dtype)
+        if by_tiles:
+            self._target = self._samples.in_storage_order(jnp.asarray(arrays.target, self._target.dtype))
 
     def prepare(self, operation: Operation) -> Run:
         if operation == "value_and_gradient":
@@ -138,8 +150,10 @@ class JaxlightShade(Contender):
         planes = {name: getattr(self._samples, name) for name in names}
 
         def loss(free: tuple[Scene, Any], fixed: Scene, samples: SampleBuffer, target: Any, weight: Any) -> Any:
-            own = dataclasses.replace(samples, **free[1])
-            squared = (shade_tiles(eqx.combine(free[0], fixed), own, plan=plan)[:, :3] - target) ** 2
+            scene, own = eqx.combine(free[0], fixed), dataclasses.replace(samples, **free[1])
+            if self._by_tiles:
+                return sum_over_samples(lambda color, target: (color[:3] - target) ** 2, scene, own, target, plan=plan)
+            squared = (shade_tiles(scene, own, plan=plan)[:, :3] - target) ** 2
             return jnp.sum(squared if weight is None else squared * weight)
 
         def colors(scene: Scene, samples: SampleBuffer) -> Any:

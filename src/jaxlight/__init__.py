@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from .lighting import LightingOptions as LightingOptions
     from .lighting import compiler_options as compiler_options
     from .lighting import shade as shade
+    from .lighting import sum_over_samples as sum_over_samples
     from .raster import Camera as Camera
     from .raster import Orthographic as Orthographic
     from .raster import SampleBuffer as SampleBuffer
@@ -61,7 +62,7 @@ _STAGES = {
     ],
     "formats": ["SceneFileError", "SceneFileWarning", "load", "read_image", "save", "write_image"],
     "raster": ["Camera", "Orthographic", "SampleBuffer", "rasterize", "samples_from_maps"],
-    "lighting": ["LightingOptions", "compiler_options", "shade"],
+    "lighting": ["LightingOptions", "compiler_options", "shade", "sum_over_samples"],
     "image": ["compare", "decode", "encode", "render"],
     "fit": ["Fit", "Free", "View", "check_gradients", "fit", "fitted_values", "write_report"],
 }

@@ -20,6 +20,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from ..lighting.tiles import Share, tiles_at_once
+from ..lighting.totals import add_terms, added_up
 from ..raster.samples import LANES
 from .columns import Columns
 from .curvature import DenseCurvature, NormalEquations
@@ -31,8 +32,6 @@ from .residuals import half_losses, reweight, view_colors, weighted_difference
 from .streaming import (
     Adder,
     Tile,
-    add_terms,
-    added_up,
     over_tiles,
     over_views,
     sum_over_tiles,

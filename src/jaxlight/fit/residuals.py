@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..lighting import shade_planes
-from ..raster.samples import LANES
+from ..lighting.totals import summed_on_lanes
 from ..scene.scene import Scene
 from .views import ViewData
 
@@ -75,18 +75,14 @@ def pixel_colors(view: ViewData, exposure: Array, sums: Float[Array, "3 points"]
 
 
 def half_losses(kind: LossKind, scale: Array, residual: Array) -> Float[Array, " lanes"]:
-    """Half the sum of rho(r^2), in parts: squares, Huber (linear beyond `scale`) or Cauchy (logarithmic).
-
-    To be added up by the caller: the processor adds up lanes at once, but one number only term by term.
-    """
+    """Half the sum of rho(r^2), `summed_on_lanes`: squares, Huber (linear beyond `scale`) or Cauchy (logarithmic)."""
     if kind == "squares":
         each = residual * residual / 2
     else:
         size = jnp.abs(residual) / scale
         huber = jnp.where(size <= 1, size * size / 2, size - 0.5)
         each = scale * scale * (huber if kind == "huber" else jnp.log1p(size * size) / 2)
-    flat = each.reshape(-1)
-    return jnp.sum(jnp.pad(flat, (0, -flat.size % LANES)).reshape(-1, LANES), axis=0)
+    return summed_on_lanes(each)
 
 
 def reweight(kind: LossKind, scale: Array, residual: Array) -> Array | None:

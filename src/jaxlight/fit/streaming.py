@@ -14,13 +14,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from ..lighting.at_once import at_once
 from ..lighting.one_tile import Color, tile_color
 from ..lighting.plan import Plan
 from ..lighting.prepared import Prepared, prepare
 from ..lighting.stages import Stage
 from ..lighting.tile_inputs import Run, tile_of
 from ..lighting.tiles import Share, surface_runs
+from ..lighting.totals import Carry, add_terms, added_up
 from ..lighting.unstored import Inlined, stored
 from .parameters import World
 from .part import tiles_of_part
@@ -28,7 +28,6 @@ from .problem import Problem, scene_of_view
 from .residuals import composited, parts_of_pixels, weighted_difference
 from .views import ViewData
 
-Carry = Any
 Adder = Callable[[Carry, tuple[Array, ...]], Carry]
 """Adds a tuple of terms to the running sums."""
 
@@ -94,19 +93,6 @@ def over_views(problem: Problem, of_view: Callable[[ViewData, Adder, Carry], Car
     for stack in problem.views:
         carry, _ = jax.lax.scan(lambda carry, view: (of_view(view, add_terms, carry), None), carry, stack)
     return added_up(carry)
-
-
-def add_terms(carry: Carry, terms: tuple[Array, ...]) -> Carry:
-    """The running sums and their rounding errors with the terms added; small loops, as few of them as possible."""
-    sums, errors = carry
-    totals, lost = zip(*map(_two_sum, sums, terms), strict=True)
-    both = at_once([*totals, *(error + own for error, own in zip(errors, lost, strict=True))])
-    return tuple(both[: len(sums)]), tuple(both[len(sums) :])
-
-
-def added_up(carry: Carry) -> tuple[Array, ...]:
-    """The sums, rounded once."""
-    return tuple(a + b for a, b in zip(*carry, strict=True))
 
 
 def sum_over_tiles(
@@ -191,10 +177,3 @@ def _residual(
 ) -> Float[Array, "3 samples"]:
     rgb = exposure * composited(color.rgb, color.alpha, background)
     return weighted_difference(rgb, target, root_weight, dark, saturated)
-
-
-def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:
-    """a + b as rounded, and what the rounding lost (exact)."""
-    total = a + b
-    part = total - a
-    return total, (a - (total - part)) + (b - part)

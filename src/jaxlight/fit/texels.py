@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..lighting.totals import add_terms, added_up
 from .columns import Columns
 from .curvature import ArrowCurvature, Neighbours, NormalEquations
 from .moments import Moments, moments_of, zero_moments
@@ -20,7 +21,7 @@ from .parameters import TexelBlock
 from .problem import Problem
 from .residuals import reweight
 from .sampling import block_of
-from .streaming import Tile, add_terms, added_up, over_tiles, view_inputs, with_textures
+from .streaming import Tile, over_tiles, view_inputs, with_textures
 from .tile_derivatives import derivatives_by_tile
 from .views import ViewData
 

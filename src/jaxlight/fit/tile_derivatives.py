@@ -16,13 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..lighting.moved import moved_leaves
 from ..lighting.one_tile import Color
 from ..lighting.plan import Plan, number_of_lights, plan_of_lights
 from ..lighting.prepared import Prepared, on_all_lanes, on_fewer_lanes
 from ..lighting.stages import Stage
 from ..scene.paths import LIGHT_ATTRIBUTES
 from .columns import Columns, Group, Rows
-from .moved import moved_leaves
 from .problem import Problem
 from .streaming import Tile, ViewInputs, inputs_of
 from .views import ViewData

@@ -97,14 +97,7 @@ _Form = Callable[[Array, SampleBuffer], Array]
 def _shade(
     form: _Form, scene: Scene, samples: SampleBuffer, options: LightingOptions | None, plan: Plan | None
 ) -> Array:
-    check_samples(scene, samples)
-    if plan is None:
-        plan = make_plan(scene, samples, options)
-    elif not isinstance(plan, Plan):
-        raise ValueError(f"plan: expected a Plan, got {type(plan).__name__}")
-    elif options is not None:
-        raise ValueError("options: a plan has options of its own; give one of the two")
-    scene = _without_document(scene)
+    scene, plan = checked(scene, samples, options, plan)
     if is_traced(scene, samples):
         return _shaded(form, plan, scene, samples)
     if not _is_on_cpu(samples):
@@ -116,6 +109,20 @@ def _shade(
         return _shaded_on_cpu(form, plan, scene, samples)
     rows = in_threads(lambda number: _share_of_rows(plan, scene, samples, number, shares), shares)
     return _joined(form, tuple(run.stop - run.start for run in runs), rows, samples)
+
+
+def checked(
+    scene: Scene, samples: SampleBuffer, options: LightingOptions | None, plan: Plan | None
+) -> tuple[Scene, Plan]:
+    """What is shaded, without what shading does not read, so that scenes that differ only there share compiled code."""
+    check_samples(scene, samples)
+    if plan is None:
+        plan = make_plan(scene, samples, options)
+    elif not isinstance(plan, Plan):
+        raise ValueError(f"plan: expected a Plan, got {type(plan).__name__}")
+    elif options is not None:
+        raise ValueError("options: a plan has options of its own; give one of the two")
+    return dataclasses.replace(scene, document=None), plan
 
 
 def _rows_of_runs(plan: Plan, scene: Scene, samples: SampleBuffer, share: Share | None) -> list[Array]:
@@ -198,8 +205,3 @@ def _is_on_cpu(samples: SampleBuffer) -> bool:
     planes = samples.position_planes
     devices = planes.devices() if isinstance(planes, jax.Array) else jax.devices()
     return all(device.platform == "cpu" for device in devices)
-
-
-def _without_document(scene: Scene) -> Scene:
-    """The scene without what shading does not read, so that scenes that differ only there share compiled code."""
-    return dataclasses.replace(scene, document=None)

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..processor import sizes
 from ..scene.fields import float_type, largest_of, whole
@@ -194,6 +194,31 @@ class SampleBuffer(eqx.Module):
             return jnp.take(slots, self.slot, axis=axis)
         return lax.slice_in_dim(slots, 0, self.count, axis=axis)
 
+    def in_storage_order(self, values: Array, axis: int = -1) -> Array:
+        """[..., N, ...] -> [..., slots, ...] along an axis, the opposite of `in_sample_order`; padding has the first.
+
+        Raises:
+            ValueError: not as many values as samples.
+        """
+        values = jnp.asarray(values)
+        if not -values.ndim <= axis < values.ndim or values.shape[axis] != self.count:
+            expected = f"{self.count} along axis {axis}, one a sample"
+            raise ValueError(f"SampleBuffer: in_storage_order: expected {expected}, got {list(values.shape)}")
+        rows = jnp.moveaxis(values, axis, 0)
+        filled = jnp.broadcast_to(rows[:1], (self.slots, *rows.shape[1:]))
+        return jnp.moveaxis(filled.at[self._own_slots].set(rows, unique_indices=True), 0, axis)
+
+    @property
+    def is_sample(self) -> Bool[Array, " slots"] | None:
+        """Which slots hold a sample and no padding; None: all."""
+        if self.slots == self.count:
+            return None
+        return jnp.zeros(self.slots, bool).at[self._own_slots].set(True, unique_indices=True)
+
+    @property
+    def _own_slots(self) -> Array:
+        return jnp.arange(self.count) if self.slot is None else self.slot
+
     def rows_in_sample_order(self, planes: Array) -> Array:
         """[tiles, components, tile], or blocks, -> [N, components]: padding dropped, samples in the order given."""
         return self.in_sample_order(jnp.swapaxes(planes, 1, 2).reshape(-1, planes.shape[1]), axis=0)
@@ -233,7 +258,7 @@ class SampleBuffer(eqx.Module):
         """Planes [blocks, components, block] with these rows of all samples; padding as it was."""
         blocks, components, block = planes.shape
         slots = jnp.swapaxes(planes, 1, 2).reshape(-1, components)
-        slots = slots.at[jnp.arange(self.count) if self.slot is None else self.slot].set(rows, unique_indices=True)
+        slots = slots.at[self._own_slots].set(rows, unique_indices=True)
         return jnp.swapaxes(slots.reshape(blocks, block, components), 1, 2)
 
     def parts(self, count: int) -> dict[str, Array]:

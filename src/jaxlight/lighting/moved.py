@@ -1,4 +1,4 @@
-"""What follows from the free numbers of a fit: all else need not be differentiated."""
+"""What follows from the numbers that are differentiated by: all else need not be differentiated."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
 
-def moved_leaves(function: Callable[[Array], Any], at: Array) -> Any:
+def moved_leaves(function: Callable[[Any], Any], at: Any) -> Any:
     """A tree like function(at), whose leaves say whether floating-point numbers there may depend on `at`."""
     jaxpr, shapes = jax.make_jaxpr(function, return_shape=True)(at)
     moved = set(jaxpr.jaxpr.invars)

@@ -1,0 +1,41 @@
+"""Sums over tiles that carry their rounding errors along (Neumaier), and sums over the samples of a tile by lanes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..raster.samples import LANES
+from .at_once import at_once
+
+Carry = Any
+"""Running sums and their rounding errors, two tuples of arrays."""
+
+
+def add_terms(carry: Carry, terms: tuple[Array, ...]) -> Carry:
+    """The running sums and their rounding errors with the terms added; small loops, as few of them as possible."""
+    sums, errors = carry
+    totals, lost = zip(*map(_two_sum, sums, terms), strict=True)
+    both = at_once([*totals, *(error + own for error, own in zip(errors, lost, strict=True))])
+    return tuple(both[: len(sums)]), tuple(both[len(sums) :])
+
+
+def added_up(carry: Carry) -> tuple[Array, ...]:
+    """The sums, rounded once."""
+    return tuple(a + b for a, b in zip(*carry, strict=True))
+
+
+def summed_on_lanes(values: Float[Array, "..."]) -> Float[Array, " lanes"]:
+    """The sum of all values, in parts to be added up by the caller: the processor adds up lanes at once, but one number
+    only term by term."""
+    flat = values.reshape(-1)
+    return jnp.sum(jnp.pad(flat, (0, -flat.size % LANES)).reshape(-1, LANES), axis=0)
+
+
+def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:
+    """a + b as rounded, and what the rounding lost (exact)."""
+    total = a + b
+    part = total - a
+    return total, (a - (total - part)) + (b - part)

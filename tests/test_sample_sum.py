@@ -1,0 +1,121 @@
+"""Sums over samples, of which every tile is differentiated as it is evaluated: the same as of the whole image."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from colored_bodies import colored_bodies
+from fit_scenes import precision
+from jaxlight import SampleBuffer, Scene, compiler_options, nodes, shade, sum_over_samples
+from jaxlight.lighting import one_tile
+
+
+def two_surfaces(dtype: Any, count: int = 700) -> tuple[Scene, SampleBuffer, np.ndarray]:
+    """Samples of two surfaces in mixed order, so that both have padding; and a target for each."""
+    random = np.random.default_rng(4)
+    points = random.normal(size=(count, 3))
+    shapes = [
+        nodes.Shape(appearance=nodes.Appearance(material=material), geometry=nodes.Sphere())
+        for material in (nodes.Material(transparency=0.3), nodes.Material(specular_color=(0.4, 0.5, 0.6)))
+    ]
+    lamps = [nodes.PointLight(location=(x, 1, 4), attenuation=(0.5, 0.1, 0.1), radius=20) for x in (-1.0, 2.0)]
+    scene = Scene.from_nodes([*shapes, *lamps, nodes.Fog(visibility_range=30.0)], dtype=dtype)
+    surface = random.integers(0, 2, count)
+    samples = SampleBuffer.create(points, points, [0, 0, 6], surface=surface, dtype=dtype)
+    return scene, samples, random.uniform(size=(count, 3))
+
+
+def close(found: Any, expected: Any, digits: float) -> None:
+    pairs = list(zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True))
+    assert pairs
+    for one, other in pairs:
+        np.testing.assert_allclose(one, other, rtol=0, atol=digits * max(1.0, float(jnp.max(jnp.abs(other)))))
+
+
+def test_value_and_derivatives_are_those_of_the_colours_of_all_samples() -> None:
+    """Of scene and of what the function closes over; padding counts nothing."""
+    with precision("float64") as dtype:
+        scene, samples, target = two_surfaces(dtype)
+        assert samples.slots > samples.count
+        stored = samples.in_storage_order(target, axis=0).T
+        np.testing.assert_array_equal(samples.in_sample_order(stored), target.T)
+        free, fixed = eqx.partition(scene, eqx.is_inexact_array)
+
+        def robust(color: Any, target: Any, exposure: Any) -> Any:
+            return jnp.log1p(jnp.sum((exposure * color[:3] - target) ** 2, axis=0)) + color[3]
+
+        def ours(moving: Any) -> jax.Array:
+            own = eqx.combine(moving[0], fixed)
+            return 3 * sum_over_samples(lambda color, target: robust(color, target, moving[1]), own, samples, stored)
+
+        def wanted(moving: Any) -> jax.Array:
+            colors = shade(eqx.combine(moving[0], fixed), samples)
+            return 3 * jnp.sum(robust(colors.T, target.T, moving[1]))
+
+        moving = (free, jnp.asarray(1.2, dtype))
+        expected = jax.jit(jax.value_and_grad(wanted))(moving)
+        close(jax.jit(jax.value_and_grad(ours))(moving), expected, 1e-12)
+        assert float(ours(moving)) == pytest.approx(float(expected[0]), rel=1e-12)
+        # Of the number alone, not of the scene.
+        assert float(jax.grad(lambda e: ours((free, e)))(moving[1])) == pytest.approx(float(expected[1][1]), rel=1e-11)
+
+
+def test_derivatives_by_samples_and_textures_are_those_of_the_whole_image() -> None:
+    scene, samples = colored_bodies(2, 0)
+    weights = samples.in_storage_order(np.random.default_rng(1).normal(size=(4, samples.count)).astype(np.float32))
+
+    def moved(images: Any, positions: Any) -> tuple[Scene, SampleBuffer]:
+        own = eqx.tree_at(lambda scene: [texture.image for texture in scene.textures], scene, images)
+        return own, samples.with_rows(position=positions)
+
+    def ours(images: Any, positions: Any) -> jax.Array:
+        return sum_over_samples(lambda color, weight: weight * color**2, *moved(images, positions), weights)
+
+    def wanted(images: Any, positions: Any) -> jax.Array:
+        return jnp.sum(samples.in_sample_order(weights) * shade(*moved(images, positions)).T ** 2)
+
+    moving = ([texture.image for texture in scene.textures], samples.position)
+    found, expected = (jax.jit(jax.grad(function, argnums=(0, 1)))(*moving) for function in (ours, wanted))
+    close(found, expected, 1e-5)
+
+
+def test_every_tile_is_evaluated_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The gradient of a loss of the whole image evaluates it twice; and nothing as large as that is stored."""
+    scene, samples, target = two_surfaces(np.float32, count=2**17)
+    stored = samples.in_storage_order(target.astype(np.float32).T)
+    free, fixed = eqx.partition(scene, eqx.is_inexact_array)
+    forms: list[str] = []
+    color = one_tile._color
+
+    def counted(stage: Any, *others: Any) -> Any:
+        forms.append(type(stage).__name__)
+        return color(stage, *others)
+
+    def loss(free: Scene, samples: SampleBuffer, stored: jax.Array) -> jax.Array:
+        own = eqx.combine(free, fixed)
+        return sum_over_samples(lambda color, target: (color[:3] - target) ** 2, own, samples, stored)
+
+    monkeypatch.setattr(one_tile, "_color", counted)
+    program = jax.jit(jax.value_and_grad(loss), compiler_options=compiler_options()).lower(free, samples, stored)
+    assert forms.count("Stage") == 1
+    memory = program.compile().memory_analysis()
+    assert memory is not None
+    assert memory.temp_size_in_bytes < stored.nbytes
+
+
+def test_what_does_not_fit_is_named() -> None:
+    scene, samples, target = two_surfaces(np.float32)
+    with pytest.raises(ValueError, match=r"in_storage_order: expected 700 along axis -1, one a sample, got \[700, 3\]"):
+        samples.in_storage_order(target)
+    with pytest.raises(ValueError, match=rf"planes\[0\]: expected shape \[..., {samples.slots}\].* got \[3, 700\]"):
+        sum_over_samples(lambda color, target: color[:3] - target, scene, samples, target.T)
+    with pytest.raises(ValueError, match=r"function: expected shape \[..., \d+\] for \d+ samples, got \(\)"):
+        sum_over_samples(jnp.sum, scene, samples)
+    with pytest.raises(ValueError, match="plan: expected a Plan, got int"):
+        sum_over_samples(lambda color: color, scene, samples, plan=3)  # type: ignore[arg-type]  # what is tested
