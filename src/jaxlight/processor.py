@@ -38,7 +38,7 @@ class Sizes(NamedTuple):
 # evaluated anew for derivatives.
 CPU = Sizes(1024, 8, 1 / 16, 10_240, 2**17, 2**17, 2**16, 64, 128)
 
-GPU = Sizes(2**18, 16, 1 / 4, 2**25, 16, 2**25, 2**24, 2**14, 2**14)
+GPU = Sizes(2**18, 16, 1 / 4, 2**25, 16, 2**25, 2**24, 2**16, 2**14)
 
 
 def for_cpu() -> bool:
