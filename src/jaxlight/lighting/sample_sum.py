@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
@@ -48,7 +49,7 @@ def sum_over_samples(
     Args:
         function: function(color, *planes) of n samples, each by itself: color [4, n], red, green, blue and alpha as
             `shade` gives them, planes [..., n]; gives [..., n], of which all is summed. It may close over traced
-            numbers, of which derivatives are taken too.
+            arrays, of which derivatives are taken too.
         scene, samples, options, plan: as of `shade`.
         planes: what else belongs to each sample, as `SampleBuffer.in_storage_order` gives it: [..., slots].
 
@@ -66,13 +67,17 @@ def sum_over_samples(
     count = tiles_at_once(scene, samples, plan) * samples.tile
     own = [jax.ShapeDtypeStruct((*plane.shape[:-1], count), plane.dtype) for plane in planes]
     color = jax.ShapeDtypeStruct((4, count), compute_dtype(samples))
-    given = jax.eval_shape(function, color, *own)
+    jaxpr, given = jax.make_jaxpr(function, return_shape=True)(color, *own)
     if not isinstance(given, jax.ShapeDtypeStruct) or given.shape[-1:] != (count,):
         raise ValueError(
             f"function: expected shape [..., {count}] for {count} samples, got {getattr(given, 'shape', given)}"
         )
-    converted, numbers = jax.closure_convert(function, color, *own)
-    return _sum(converted, plan, scene, samples, planes, tuple(numbers))
+
+    def of_numbers_too(*operands: Array) -> Array:
+        of_samples, numbers = operands[: len(planes) + 1], operands[len(planes) + 1 :]
+        return jaxpr_as_fun(ClosedJaxpr(jaxpr.jaxpr, numbers))(*of_samples)[0]
+
+    return _sum(of_numbers_too, plan, scene, samples, planes, tuple(map(jnp.asarray, jaxpr.consts)))
 
 
 Function = Callable[..., Array]
