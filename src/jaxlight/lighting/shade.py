@@ -70,7 +70,7 @@ def shade_planes(
 def shade_tiles(
     scene: Scene, samples: SampleBuffer, options: LightingOptions | None = None, *, plan: Plan | None = None
 ) -> Float[Array, "tiles 4 tile"]:
-    """`shade` in storage order, planes tile by tile, padding included: the quickest form of derivatives."""
+    """`shade` in storage order, planes tile by tile, padding included: what derivatives of colours are quickest of."""
     return _shade(_planes_by_tile, scene, samples, options, plan)
 
 
