@@ -24,6 +24,8 @@ from oracle.cases import random_cases
 from oracle.fast_exact import values
 
 TOLERANCE = {"float64": 1e-12, "float32": 2e-5}
+TOGETHER = 16
+"""Cases that are evaluated together."""
 
 SAMPLE = Sample(position=(0.25, -0.5, 0.125), normal=(0.25, 0.5, 1.5), eye=(0.5, 1.0, 6.0))
 BODY = Material(
@@ -143,11 +145,13 @@ CASES = dict(itertools.chain(tables(), fields(), fogs()))
 def answers(cases: Sequence[Case], dtype: Any) -> np.ndarray:
     """Colour and alpha [cases, 4] of cases of one structure, evaluated operation by operation.
 
-    Compiling so many different programs would take minutes.
+    Compiling so many different programs would take minutes; so would operations on arrays of many sizes.
     """
-    scenes, samples = scenes_and_samples(cases, dtype)
+    filled = [*cases, *[cases[-1]] * (-len(cases) % TOGETHER)]
+    scenes, samples = scenes_and_samples(filled, dtype)
     with jax.disable_jit():
-        return np.asarray(jax.vmap(lambda s, b: shade(s, b, options_of(cases[0]))[0])(scenes, samples), np.float64)
+        colors = jax.vmap(lambda s, b: shade(s, b, options_of(cases[0]))[0])(scenes, samples)
+    return np.asarray(colors, np.float64)[: len(cases)]
 
 
 @functools.cache
