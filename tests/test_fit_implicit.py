@@ -65,6 +65,12 @@ def test_derivatives_do_not_depend_on_the_unit_of_length() -> None:
     free = ["Material[body].shininess", "PointLight[key].location"]
     picture, (points, pixel) = sphere_picture(16, noise=0.01, seed=5), sphere_points(16)
     found = []
+
+    @jax.jit
+    @jax.jacrev
+    def slopes_at(intensity: jax.Array, problem: Problem) -> jax.Array:
+        return fitted_values(eqx.tree_at(lambda p: p.world.scene.point.intensity, problem, intensity))
+
     with precision("float32") as dtype:
         for scale in (1.0, 1000.0):
             samples = SampleBuffer.create(
@@ -72,11 +78,7 @@ def test_derivatives_do_not_depend_on_the_unit_of_length() -> None:
             )
             light = key_light(location=tuple(scale * x for x in key_light().location), radius=1e9)
             problem = fit(sphere_scene(light, dtype=dtype), View(samples, picture), free).problem
-
-            def answer(intensity: jax.Array, problem: Problem = problem) -> jax.Array:
-                return fitted_values(eqx.tree_at(lambda p: p.world.scene.point.intensity, problem, intensity))
-
-            slopes = jax.jacrev(answer)(problem.world.scene.point.intensity)[:, 0]
+            slopes = slopes_at(problem.world.scene.point.intensity, problem)[:, 0]
             found.append(np.asarray(slopes) / [1, scale, scale, scale])
     assert np.all(np.abs(found[0]) > 0.1)
     np.testing.assert_allclose(found[1], found[0], rtol=0.02)

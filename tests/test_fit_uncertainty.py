@@ -21,7 +21,7 @@ from fit_scenes import (
     sphere_scene,
 )
 from jaxlight import Free, SampleBuffer, Scene, View, fit, nodes, shade
-from jaxlight.fit.problem import make_problem
+from jaxlight.fit.problem import Problem, make_problem
 from jaxlight.fit.run import make_solver, solve
 from jaxlight.fit.uncertainty import Uncertainty, uncertainty
 
@@ -162,6 +162,18 @@ def test_what_is_hardly_seen_and_hardly_told_apart_is_said() -> None:
     assert abs(found.correlations[0].value) > 0.99
 
 
+@eqx.filter_jit
+def fit_all(problem: Problem, targets: Any) -> Any:
+    """The solutions for each of several pictures of one view."""
+    solver = make_solver(problem)
+
+    def one(target: Any) -> Any:
+        noisy = eqx.tree_at(lambda p: p.views[0].target, problem, target[None])
+        return solve(noisy, solver, noisy.parameters.start)
+
+    return eqx.filter_vmap(one)(targets)
+
+
 def test_intervals_of_95_percent_cover_the_truth_as_often_as_they_say() -> None:
     free = [DIFFUSE, SPECULAR, "Material[body].shininess", "PointLight[key].location", "PointLight[key].color.g"]
     free[1:2] = [Free(SPECULAR, tied="all")]
@@ -172,20 +184,11 @@ def test_intervals_of_95_percent_cover_the_truth_as_often_as_they_say() -> None:
     with precision("float64") as dtype:
         samples = sphere_samples(size, dtype=dtype)
         problem, description = make_problem(sphere_scene(body=body, dtype=dtype), View(samples, truth_picture), free)
-        solver = make_solver(problem)
         truth = np.asarray(problem.parameters.start)
         (view,) = problem.views
         clean = np.asarray(view.target)[0]
         random = np.random.default_rng(7)
         targets = jnp.asarray(clean + noise * random.normal(size=(fits, *clean.shape)))
-
-        @eqx.filter_jit
-        def fit_all(problem: Any, targets: Any) -> Any:
-            def one(target: Any) -> Any:
-                noisy = eqx.tree_at(lambda p: p.views[0].target, problem, target[None])
-                return solve(noisy, solver, noisy.parameters.start)
-
-            return eqx.filter_vmap(one)(targets)
 
         solution = fit_all(problem, targets)
         values = np.asarray(solution.value)
@@ -312,18 +315,8 @@ def test_errors_of_robust_losses_are_those_that_are_made(loss: Any, outliers: fl
         clean = np.asarray(stack.target)[0]
         errors = noise * random.normal(size=(fits, *clean.shape))
         errors += np.where(random.uniform(size=errors.shape) < outliers, random.choice([-0.5, 0.5], errors.shape), 0)
-        solver = make_solver(problem)
-
-        @eqx.filter_jit
-        def fit_all(targets: Any) -> Any:
-            def one(target: Any) -> Any:
-                noisy = eqx.tree_at(lambda p: p.views[0].target, problem, target[None])
-                return solve(noisy, solver, noisy.parameters.start).value
-
-            return jax.vmap(one)(targets)
-
         targets = jnp.asarray(clean + errors)
-        values = np.asarray(fit_all(targets))
+        values = np.asarray(fit_all(problem, targets).value)
         stated = []
         for target, found in zip(targets[:10], values, strict=False):
             noisy = eqx.tree_at(lambda p: p.views[0].target, problem, target[None])
