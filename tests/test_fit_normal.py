@@ -23,7 +23,7 @@ FEW = ["Material[body].diffuse_color", "Material[body].transparency", "PointLigh
 """For what is about residuals: quickly compiled."""
 ABOUT_RESIDUALS = [
     "grey target", "background", "several samples a pixel over a background", "sensor limits",
-    "two views of different size, one light each",
+    "views of different size, one light each",
 ]  # fmt: skip
 
 
@@ -88,19 +88,15 @@ def problem(kind: str, dtype: Any) -> Problem:
         ],
         "sensor limits": [View(samples, picture, saturated=0.7, dark=0.1)],
         "a light alone and sensor limits": [View(samples, picture, saturated=0.7, dark=0.1)],
-        "two views of different size, one light each": [
+        "views of different size, one light each": [
             View(samples, picture, lights=["PointLight[key]"]),
-            View(
-                sphere_samples(SIZE // 2, dtype=dtype),
-                sphere_picture(SIZE // 2) / 2,
-                lights=["PointLight[fill]"],
-                exposure=0.5,
-            ),
+            View(samples, picture / 2, lights=["PointLight[fill]"], exposure=0.5),
+            View(sphere_samples(SIZE // 2, dtype=dtype), sphere_picture(SIZE // 2), lights=["PointLight[key]"]),
         ],
     }.get(kind, [plain])
     if kind in ABOUT_RESIDUALS:
         free = list(FEW)
-    if "two views" in kind or "several samples" in kind:
+    if kind.startswith("views") or "several samples" in kind:
         free += ["View[*].exposure"]
     if loss:
         more = {"loss": loss, "loss_scale": 0.05}
@@ -125,7 +121,7 @@ def problem(kind: str, dtype: Any) -> Problem:
 
 KINDS = [
     "weights and mask", "grey target + huber", "background + cauchy", "several samples a pixel over a background",
-    "two views of different size, one light each", "ties", "a tie of a colour and an exponent, and a prior",
+    "views of different size, one light each", "ties", "a tie of a colour and an exponent, and a prior",
     "many lights", "one of many lights", "some lights of every kind", "a light alone and sensor limits",
 ]  # fmt: skip
 
