@@ -76,7 +76,7 @@ def problem(kind: str, dtype: Any) -> Problem:
     picture = sphere_picture(SIZE, noise=0.05)
     weight = np.linspace(0.5, 2.0, SIZE**2 * 3).reshape(SIZE, SIZE, 3)
     samples = two_surfaces(dtype)
-    plain = View(samples, picture)
+    plain, limited = View(samples, picture), View(samples, picture, saturated=0.7, dark=0.1)
     free: list[Any] = list(FREE)
     more: dict[str, Any] = {}
     views = {
@@ -86,8 +86,8 @@ def problem(kind: str, dtype: Any) -> Problem:
         "several samples a pixel over a background": [
             View(four_samples_a_pixel(dtype), picture, background=picture[::-1])
         ],
-        "sensor limits": [View(samples, picture, saturated=0.7, dark=0.1)],
-        "a light alone and sensor limits": [View(samples, picture, saturated=0.7, dark=0.1)],
+        "sensor limits": [limited],
+        "a light alone and sensor limits": [limited],
         "views of different size, one light each": [
             View(samples, picture, lights=["PointLight[key]"]),
             View(samples, picture / 2, lights=["PointLight[fill]"], exposure=0.5),
