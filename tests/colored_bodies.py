@@ -11,8 +11,9 @@ from jaxlight import SampleBuffer, Scene, nodes
 from jaxlight.raster import rasterize
 
 
-def colored_bodies(points: int = 70, spots: int = 40) -> tuple[Scene, SampleBuffer]:
-    """Two sheets, one textured and one with vertex colours, both with an alpha that differs from sample to sample.
+def colored_bodies(points: int = 70, spots: int = 40, *, textures: bool = True) -> tuple[Scene, SampleBuffer]:
+    """Two sheets, one textured and one with vertex colours, both with an alpha that differs from sample to sample;
+    without textures only the second.
 
     They are under many point lights and spots, most of them on one side, and one directional light.
     """
@@ -48,5 +49,5 @@ def colored_bodies(points: int = 70, spots: int = 40) -> tuple[Scene, SampleBuff
     ]
     sun = nodes.DirectionalLight(direction=(0.3, 0.1, -1), intensity=0.2)
     view = nodes.Viewpoint(position=(0, 0, 9))
-    scene = Scene.from_nodes([view, *bodies, sun, *lamps], dtype=np.float32)
+    scene = Scene.from_nodes([view, *bodies[0 if textures else 1 :], sun, *lamps], dtype=np.float32)
     return dataclasses.replace(scene, document=None), rasterize(scene, width=80, height=48)

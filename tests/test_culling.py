@@ -69,12 +69,13 @@ def plans(scene: Scene, samples: SampleBuffer, kind: str) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "radius", "moved", "bits", "tolerance"),
-    [("point", 0.6, True, "float32", 2e-5), ("spot", 100.0, False, "float64", 1e-13)],
+    ("kind", "radius", "moved", "by_samples", "bits", "tolerance"),
+    [("point", 0.6, True, True, "float32", 2e-5), ("spot", 100.0, False, False, "float64", 1e-13)],
 )
 def test_culling_changes_no_value_and_no_derivative(
-    kind: str, radius: float, moved: bool, bits: str, tolerance: float
+    kind: str, radius: float, moved: bool, by_samples: bool, bits: str, tolerance: float
 ) -> None:
+    """By the samples' places neither: lists are drawn by them, which has no derivative; what the lights send has."""
     with precision(bits) as dtype:
         scene, samples = many_lights(kind, radius, moved=moved, dtype=dtype)
         scene = dataclasses.replace(scene, document=None)
@@ -82,13 +83,18 @@ def test_culling_changes_no_value_and_no_derivative(
         assert getattr(culled, kind).culled
         weights = jnp.asarray(np.random.default_rng(1).normal(size=(samples.count, 4)), dtype)
 
-        def total(scene: Scene, plan: Any) -> jax.Array:
-            return jnp.sum(weights * shade(scene, samples, plan=plan))
+        def total(moving: tuple[Scene, jax.Array], plan: Any) -> jax.Array:
+            scene, planes = moving
+            return jnp.sum(weights * shade(scene, dataclasses.replace(samples, position_planes=planes), plan=plan))
+
+        def slope(plan: Any) -> Any:
+            if by_samples:
+                return jax.jit(jax.grad(total), static_argnums=1)((scene, samples.position_planes), plan)
+            return jax.jit(jax.grad(lambda scene: total((scene, samples.position_planes), plan)))(scene)
 
         got, wanted = (shade(scene, samples, plan=plan) for plan in (culled, brute))
         np.testing.assert_allclose(got, wanted, atol=tolerance)
-        slope = jax.jit(jax.grad(total), static_argnums=1)
-        for one, other in zip(jax.tree.leaves(slope(scene, culled)), jax.tree.leaves(slope(scene, brute)), strict=True):
+        for one, other in zip(jax.tree.leaves(slope(culled)), jax.tree.leaves(slope(brute)), strict=True):
             np.testing.assert_allclose(one, other, atol=tolerance * max(1.0, float(jnp.max(jnp.abs(other)))))
 
 
@@ -214,20 +220,6 @@ def test_lights_out_of_scope_are_in_no_list() -> None:
     plan, brute = plans(scene, samples, "point")
     assert plan.point is not None and plan.point.culled and plan.point.scoped
     np.testing.assert_allclose(shade(scene, samples, plan=plan), shade(scene, samples, plan=brute), atol=2e-5)
-
-
-def test_derivatives_by_samples_pass_lists_of_lights() -> None:
-    """Lists are drawn by the samples' places, which has no derivative; what the lights send has."""
-    scene, samples = many_lights("point", 0.6)
-    culled, brute = plans(scene, samples, "point")
-
-    def total(planes: jax.Array, plan: Any) -> jax.Array:
-        moved = dataclasses.replace(samples, position_planes=planes)
-        return jnp.sum(jnp.sin(3 * shade(scene, moved, plan=plan)))
-
-    slope = jax.jit(jax.grad(total), static_argnums=1)
-    got, wanted = (slope(samples.position_planes, plan) for plan in (culled, brute))
-    np.testing.assert_allclose(got, wanted, atol=2e-5 * float(jnp.max(jnp.abs(wanted))))
 
 
 def reaching(scene: Scene, samples: SampleBuffer, radius: float) -> np.ndarray:

@@ -36,12 +36,12 @@ def turn_to_gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], None]]
 def test_colours_and_derivatives_are_the_same(
     turn_to_gpu: Callable[[], None], monkeypatch: pytest.MonkeyPatch, points: int, spots: int, culled: bool
 ) -> None:
-    """Under lights that are culled, and under more than are evaluated at once; of these by samples too."""
+    """Under lights that are culled, and under more than are evaluated at once; with textures and by samples too."""
     few = {"clusters": 16, "derived_clusters": 16}  # side by side: the others wait
     monkeypatch.setattr(processor, "GPU", processor.GPU._replace(**few))
 
     def results() -> Any:
-        scene, samples = colored_bodies(points, spots)
+        scene, samples = colored_bodies(points, spots, textures=not culled)
         plan = make_plan(scene, samples, free=True)
         assert plan.culled == culled
         weights = jnp.asarray(np.random.default_rng(1).normal(size=(samples.count, 4)), np.float32)
