@@ -155,13 +155,13 @@ def test_streamed_sums_are_the_dense_ones(kind: str) -> None:
         (light_plan,) = {view.plan.point for view in made.views} if "many lights" in kind else (None,)
         assert light_plan is None or light_plan.culled
         loss, gradient, curvature = dense(made, values)
-        found = jax.jit(normal.normal_equations)(made, values)
-        assert float(jax.jit(normal.loss)(made, values)) == pytest.approx(loss, rel=1e-12)
+        sums = (normal.normal_equations, normal.loss, normal.loss_and_gradient)
+        found, alone, by_reverse = jax.jit(lambda *given: [of(*given) for of in sums])(made, values)
+        assert float(alone) == pytest.approx(loss, rel=1e-12)
         assert float(found.loss) == pytest.approx(loss, rel=1e-12)
         scale = np.sqrt(np.diagonal(curvature))
         np.testing.assert_allclose(found.curvature, curvature, rtol=0, atol=1e-11 * np.outer(scale, scale).max())
         np.testing.assert_allclose(found.gradient, gradient, rtol=0, atol=1e-11 * np.abs(gradient).max())
-        by_reverse = jax.jit(normal.loss_and_gradient)(made, values)
         assert float(by_reverse[0]) == pytest.approx(loss, rel=1e-12)
         np.testing.assert_allclose(by_reverse[1], gradient, rtol=0, atol=1e-11 * np.abs(gradient).max())
 
