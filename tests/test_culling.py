@@ -62,10 +62,15 @@ def many_lights(
     )
 
 
-def plans(scene: Scene, samples: SampleBuffer, kind: str) -> tuple[Any, Any]:
-    """What would be done, and the same without culling."""
-    plan = make_plan(scene, samples, free=True)
-    return plan, plan._replace(**{kind: getattr(plan, kind)._replace(culled=False)})
+def plans(scene: Scene, samples: SampleBuffer) -> tuple[Any, Any]:
+    """What would be done, which is to cull point lights and spots, and the same without culling."""
+    plan = brute = make_plan(scene, samples, free=True)
+    for kind in ("point", "spot"):
+        own = getattr(plan, kind)
+        if own is not None:
+            assert own.culled
+            brute = brute._replace(**{kind: own._replace(culled=False)})
+    return plan, brute
 
 
 @pytest.mark.parametrize(
@@ -79,8 +84,7 @@ def test_culling_changes_no_value_and_no_derivative(
     with precision(bits) as dtype:
         scene, samples = many_lights(kind, radius, moved=moved, dtype=dtype)
         scene = dataclasses.replace(scene, document=None)
-        culled, brute = plans(scene, samples, kind)
-        assert getattr(culled, kind).culled
+        culled, brute = plans(scene, samples)
         weights = jnp.asarray(np.random.default_rng(1).normal(size=(samples.count, 4)), dtype)
 
         def total(moving: tuple[Scene, jax.Array], plan: Any) -> jax.Array:
@@ -102,7 +106,7 @@ def test_more_lights_than_a_tile_collects_at_once(monkeypatch: pytest.MonkeyPatc
     """They are worked through in batches: the same picture, the same derivatives."""
     scene, samples = many_lights("point", 1.0)
     scene = dataclasses.replace(scene, document=None)
-    culled, brute = plans(scene, samples, "point")
+    culled, brute = plans(scene, samples)
     assert reaching(scene, samples, 1.0).max() > 2 * culling.WORD
 
     def total(scene: Scene, plan: Any) -> jax.Array:
@@ -127,20 +131,10 @@ def few_at_once(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     jax.clear_caches()
 
 
-def without_culling(plan: Any) -> Any:
-    """All of whose point lights and spots are culled."""
-    for kind in ("point", "spot"):
-        own = getattr(plan, kind)
-        if own is not None:
-            assert own.culled
-            plan = plan._replace(**{kind: own._replace(culled=False)})
-    return plan
-
-
 def test_clusters_are_shaded_in_any_order(few_at_once: None) -> None:
     """In the order of how many lights reach them, and all that belongs to a sample goes with it."""
     scene, samples = colored_bodies(spots=0)
-    culled = make_plan(scene, samples, free=True)
+    culled, brute = plans(scene, samples)
     weights = jnp.asarray(np.random.default_rng(1).normal(size=(samples.count, 4)), np.float32)
 
     def total(moving: tuple[Scene, jax.Array, jax.Array], plan: Any) -> tuple[jax.Array, jax.Array]:
@@ -151,7 +145,7 @@ def test_clusters_are_shaded_in_any_order(few_at_once: None) -> None:
     assert samples.color is not None
     slope = jax.jit(jax.grad(total, has_aux=True), static_argnums=1)
     (found, got), (expected, wanted) = (
-        slope((scene, samples.position, samples.color), plan) for plan in (culled, without_culling(culled))
+        slope((scene, samples.position, samples.color), plan) for plan in (culled, brute)
     )
     assert np.std(wanted[:, 3]) > 0.05
     np.testing.assert_allclose(got, wanted, atol=2e-5)
@@ -161,16 +155,16 @@ def test_clusters_are_shaded_in_any_order(few_at_once: None) -> None:
 
 def test_clusters_are_ordered_by_lights_of_both_kinds(few_at_once: None) -> None:
     scene, samples = colored_bodies()
-    culled = make_plan(scene, samples, free=True)
-    wanted = shade(scene, samples, plan=without_culling(culled))
-    np.testing.assert_allclose(shade(scene, samples, plan=culled), wanted, atol=2e-5)
+    culled, brute = plans(scene, samples)
+    assert culled.point is not None and culled.spot is not None
+    np.testing.assert_allclose(shade(scene, samples, plan=culled), shade(scene, samples, plan=brute), atol=2e-5)
 
 
 def test_tiles_smaller_than_a_cluster() -> None:
     scene, samples = many_lights("point", 0.3)
     scene = dataclasses.replace(scene, document=None)
     samples = SampleBuffer.create(samples.position[:40], samples.normal[:40], samples.eye, tile=4)
-    culled, brute = plans(scene, samples, "point")
+    culled, brute = plans(scene, samples)
     slope = jax.jit(jax.grad(lambda scene, plan: jnp.sum(shade(scene, samples, plan=plan) ** 2)), static_argnums=1)
     for one, other in zip(*(jax.tree.leaves(slope(scene, plan)) for plan in (culled, brute)), strict=True):
         np.testing.assert_allclose(one, other, atol=2e-5 * max(1.0, float(jnp.max(jnp.abs(other)))))
@@ -180,8 +174,7 @@ def test_lists_are_short_whatever_the_order_of_the_samples(few_at_once: None) ->
     """A buffer of rows of pixels, none stored by place: each cluster is a piece of a row."""
     scene, by_place = many_lights("point", 0.3)
     by_row = SampleBuffer.create(by_place.position, by_place.normal, by_place.eye, tile=512)
-    plan = make_plan(scene, by_row, free=True)
-    brute = plan._replace(point=plan.point._replace(culled=False))  # type: ignore[union-attr]  # there are point lights
+    plan, brute = plans(scene, by_row)
     np.testing.assert_allclose(shade(scene, by_row, plan=plan), shade(scene, by_row, plan=brute), atol=2e-5)
     assert scene.point is not None
     places = np.asarray(scene.point.location)
@@ -217,8 +210,8 @@ def test_lights_out_of_scope_are_in_no_list() -> None:
     ]
     scene = Scene.from_nodes(bodies)
     samples = rasterize(scene, width=96, height=48)
-    plan, brute = plans(scene, samples, "point")
-    assert plan.point is not None and plan.point.culled and plan.point.scoped
+    plan, brute = plans(scene, samples)
+    assert plan.point.scoped
     np.testing.assert_allclose(shade(scene, samples, plan=plan), shade(scene, samples, plan=brute), atol=2e-5)
 
 

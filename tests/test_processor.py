@@ -36,7 +36,7 @@ def turn_to_gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], None]]
 def test_colours_and_derivatives_are_the_same(
     turn_to_gpu: Callable[[], None], monkeypatch: pytest.MonkeyPatch, points: int, spots: int, culled: bool
 ) -> None:
-    """Under lights that are culled, and under more than are evaluated at once; with textures and by samples too."""
+    """Under lights that are culled, and under more than are evaluated at once (these with textures and by samples)."""
     few = {"clusters": 16, "derived_clusters": 16}  # side by side: the others wait
     monkeypatch.setattr(processor, "GPU", processor.GPU._replace(**few))
 
