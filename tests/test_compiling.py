@@ -20,7 +20,7 @@ import pytest
 
 from jaxlight import SampleBuffer, Scene, compiler_options, nodes
 from jaxlight.lighting import compiling, one_tile, shade_tiles
-from jaxlight.lighting.stages import Stage
+from jaxlight.lighting.stages import LOOPS_ARE_HOISTED, Stage
 from jaxlight.raster.samples import LANES
 
 
@@ -122,6 +122,16 @@ def test_loops_over_samples_are_not_part_of_a_larger_function(lights: int) -> No
     text = jax.jit(partial(shade_tiles, scene)).lower(samples).compile().as_text() or ""
     assert "while" in text
     assert "small_call" not in text
+
+
+def test_loops_of_a_gradient_are_not_part_of_a_larger_function() -> None:
+    """With no more to compile than that takes: each stage would have a sort that XLA compiles by itself."""
+    gradient, free = gradient_by_scene(2, 2**15)
+    lowered = jax.jit(gradient).lower(free)
+    text = lowered.compile().as_text() or ""
+    assert "while" in text
+    assert "small_call" not in text
+    assert ("stablehlo.sort" in lowered.as_text()) == LOOPS_ARE_HOISTED
 
 
 @pytest.mark.parametrize("scale", [(2, 2, 2), (1, 2, 0.5)])

@@ -30,6 +30,9 @@ from .running_sum import running_sum
 from .stage_derivatives import Forms, How, each, name_of
 from .unstored import stored
 
+LOOPS_ARE_HOISTED = jax.__version_info__ >= (0, 11)
+"""Whether XLA may make one function of a loop and all that it holds. Sorts are compiled one by one: only then."""
+
 
 class Stage(eqx.Module):
     """Evaluates functions behind a boundary; `always` is true, but only the running program knows."""
@@ -60,10 +63,10 @@ class Stage(eqx.Module):
     def unreached(self) -> Bool[Array, ""]:
         """A value for branches that are never taken.
 
-        It is sorted: with JAX 0.12 XLA makes one function of a loop over tiles that holds no sort, in which it reads
-        every number as if it could have changed, and many loops are slower.
+        For later releases of JAX it is sorted: XLA would make one function of a loop over tiles that holds no sort, in
+        which it reads every number as if it could have changed, and many loops are slower.
         """
-        return lax.sort(jnp.stack([self.always, ~self.always]))[0]
+        return lax.sort(jnp.stack([self.always, ~self.always]))[0] if LOOPS_ARE_HOISTED else self.always
 
     def lights_at_once(self, lights: int, samples: int) -> int:
         """How many of so many lights are evaluated at once for so many samples."""
