@@ -8,15 +8,22 @@ from __future__ import annotations
 import dataclasses
 import sys
 import tempfile
+import time
+from collections.abc import Sequence
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import tyro
+
+from jaxlight import compiler_options
 
 from .contenders.base import Operation
 from .entrants import JAXLIGHT, Entrant
 from .harness import Case, Measurement, measure
 from .report import conditions, own_failures, save, skipped_lines, table
 from .settings import Settings, say
+from .worker import pin
 from .workload import Workload
 
 SCENES = {
@@ -47,8 +54,10 @@ def main() -> int:
                 everything += [cold, warm]
                 rows.append([title, operation, cold.compile_seconds, warm.compile_seconds, cold.first_seconds])
     header = ["scene", "operation", "compile s", "with filled cache s", "first call s"]
+    more = 1e3 * _seconds_a_kernel(plan.cores)
+    kernel = f"Each short loop more, a kernel of its own, is compiled in {more:.3g} ms."
     note = "The cache is switched on by JAX_COMPILATION_CACHE_DIR (or `jax.config.jax_compilation_cache_dir`)."
-    text = "\n\n".join(["# Compile time", conditions(plan, everything), table(header, rows), note])
+    text = "\n\n".join(["# Compile time", conditions(plan, everything), table(header, rows), kernel, note])
     text = "\n".join([text, "", *skipped_lines(everything)])
     print(text)
     save(options.output, "startup", text, [], everything)
@@ -65,6 +74,24 @@ def _compile(work: Workload, operation: Operation, plan: Any, cache: str) -> Mea
     entrant: Entrant = dataclasses.replace(JAXLIGHT, environment=environment)
     (measurement,) = measure([Case(entrant, operation, work)], plan, say=say)
     return measurement
+
+
+def _seconds_a_kernel(cores: Sequence[int], few: int = 10, many: int = 60) -> float:
+    """What compiling takes longer for one more loop that multiplies a plane and adds another."""
+    pin(cores)
+    plane = jnp.ones((8, 16, 64))
+
+    def compiled(kernels: int) -> float:
+        def loops(a: jax.Array, b: jax.Array) -> list[jax.Array]:
+            return [a * (number + 2.5) + b for number in range(kernels)]
+
+        lowered = jax.jit(loops, compiler_options=compiler_options()).lower(plane, plane)
+        start = time.process_time()
+        lowered.compile()
+        return time.process_time() - start
+
+    compiled(few)  # what the first program pays for all
+    return (compiled(many) - compiled(few)) / (many - few)
 
 
 if __name__ == "__main__":
