@@ -253,19 +253,19 @@ def test_lists_name_the_lights_whose_flags_are_set(count: int, share: float) -> 
     words = jnp.concatenate([culling._packed(jnp.asarray(some)) for some in np.split(flags, count // culling.WORD)])
     for first in range(0, count, entries):
         entry = first + np.arange(entries)
-        rows = np.asarray(culling._listed_rows(words, jnp.asarray(entry)[:, None]))
+        rows = np.asarray(culling._listed_rows(words, culling._lengths(words), jnp.asarray(entry)[:, None], count))
         for cluster in range(clusters):
             listed = np.flatnonzero(flags[:, cluster])[first : first + entries]
             np.testing.assert_array_equal(rows[: len(listed), cluster], listed)
+            np.testing.assert_array_equal(rows[len(listed) :, cluster], count)
 
 
 def test_clusters_go_by_the_length_of_all_their_lists() -> None:
     """Each once; of equal length, as they lie."""
     flags = [np.random.default_rng(seed).random((culling.WORD, 70)) < 0.3 for seed in (1, 2)]
-    nothing = jnp.zeros(1, jnp.int32)
-    found = [culling.Found(nothing, nothing, culling._packed(jnp.asarray(some))) for some in flags]
+    lists = [culling._packed(jnp.asarray(some)) for some in flags]
     length = sum(some.sum(axis=0) for some in flags)
-    np.testing.assert_array_equal(culling.by_length(found), np.argsort(length, kind="stable"))
+    np.testing.assert_array_equal(culling.by_length(lists), np.argsort(length, kind="stable"))
 
 
 @pytest.mark.parametrize("count", [1, 31, 32, 33, 64, 250, 1000])

@@ -82,10 +82,9 @@ def parts_of(
 
 def _moved_of(which: ViewInputs, lights: bool, others: bool) -> ViewInputs:
     """Of the leaves that are moved (True) those of lights, of all else, or both."""
-    of_lights = {kind: getattr(which.prepared, kind) for kind in LIGHT_ATTRIBUTES}
-    own = jax.tree.map(lambda moved: moved and lights, of_lights)
+    own = jax.tree.map(lambda moved: moved and lights, which.prepared.lights)
     rest = jax.tree.map(lambda moved: moved and others, which)
-    return dataclasses.replace(rest, prepared=dataclasses.replace(rest.prepared, **own))
+    return dataclasses.replace(rest, prepared=dataclasses.replace(rest.prepared, lights=own))
 
 
 class GroupChanges(NamedTuple):

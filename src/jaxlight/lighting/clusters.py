@@ -8,7 +8,7 @@ light is made of is read once for all samples of the cluster.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol, cast
 
@@ -19,11 +19,9 @@ from jax.experimental.layout import Layout, with_layout_constraint
 from jaxtyping import Array, Float, Int
 
 from ..processor import sizes
-from .picking import picked
-from .unstored import Inlined, is_unstored, stored
-
-Pick = Callable[[Int[Array, "entries clusters"]], list[Array]]
-"""From the rows of lights their numbers: planes [..., entries, rows or 1, lanes or 1]."""
+from .culled_lights import CulledLights, Form, LightPlanes, LightTable
+from .unstored import Inlined, Stacked, is_unstored, stored
+from .world import WorldLights
 
 
 class Arrangement(Protocol):
@@ -58,13 +56,18 @@ class Arrangement(Protocol):
         ...
 
     @staticmethod
-    def in_parts(function: Callable[[Array, Any], Any], total: Any, firsts: Int[Array, " parts"]) -> Any:
-        """function(first, its part of `total`) of every `at_once` clusters, put together to one for all of them."""
+    def in_parts(function: Callable[[Array], Any], firsts: Int[Array, " parts"]) -> Any:
+        """function(first) of every `at_once` clusters, put together to one for all of them."""
         ...
 
     @staticmethod
-    def picking(boundary: Callable[..., Any], numbers: Sequence[Float[Array, "*components lights"]]) -> Pick:
-        """For lists of lights, of each of these arrays the numbers of lights, which are picked behind a boundary."""
+    def form_of(lights: CulledLights) -> Form:
+        """In which lights are read."""
+        ...
+
+    @staticmethod
+    def listed(boundary: Callable[..., Any], lights: Any, row: Int[Array, "entries clusters"]) -> WorldLights:
+        """The lights in these rows, which are read behind a boundary: planes [..., entries, rows or 1, lanes or 1]."""
         ...
 
 
@@ -94,11 +97,9 @@ class InLanes:
         return jax.tree.map(lambda plane: plane[..., : InLanes.at_once()], planes)
 
     @staticmethod
-    def in_parts(function: Callable[[Array, Any], Any], total: Any, firsts: Array) -> Any:
-        assert total is None  # is added where derivatives pass a sum and not its terms
-
+    def in_parts(function: Callable[[Array], Any], firsts: Array) -> Any:
         # Checkpoint: what derivatives need of a part is computed anew, and never stored for all.
-        parts = lax.map(jax.checkpoint(lambda first: stored(function(first, None))), firsts)
+        parts = lax.map(jax.checkpoint(lambda first: stored(function(first))), firsts)
 
         def joined(part: Array) -> Array:
             whole = jnp.moveaxis(part, 0, -2)
@@ -107,11 +108,13 @@ class InLanes:
         return jax.tree.map(joined, parts)
 
     @staticmethod
-    def picking(boundary: Callable[..., Any], numbers: Sequence[Array]) -> Pick:
-        def pick(row: Array) -> list[Array]:
-            return [_with_rows(plane) for plane in boundary(picked, numbers, row, name="listed_lights")]
+    def form_of(lights: CulledLights) -> LightPlanes:
+        return lights.planes
 
-        return pick
+    @staticmethod
+    def listed(boundary: Callable[..., Any], lights: LightPlanes, row: Array) -> WorldLights:
+        planes = boundary(LightPlanes.read, lights, row, name="listed_lights")
+        return jax.tree.structure(lights.planes).unflatten([_with_rows(plane) for plane in planes])
 
 
 class InRows:
@@ -125,7 +128,13 @@ class InRows:
 
     @staticmethod
     def arranged(planes: Array, order: Array | None) -> Array:
-        return planes if order is None else planes.at[..., order, :].get(mode="promise_in_bounds", unique_indices=True)
+        if order is None:
+            return planes
+        # One row after the other of all components, or XLA would lay them out cluster by cluster.
+        *components, clusters, samples = planes.shape
+        first = clusters * jnp.arange(math.prod(components), dtype=order.dtype).reshape(*components, 1)
+        rows = planes.reshape(-1, samples)
+        return rows.at[first + order].get(mode="promise_in_bounds", unique_indices=True)
 
     @staticmethod
     def as_stored(plane: Array, order: Array | None) -> Array:
@@ -140,31 +149,24 @@ class InRows:
         return planes
 
     @staticmethod
-    def in_parts(function: Callable[[Array, Any], Any], total: Any, firsts: Array) -> Any:
-        own = jax.tree.map(lambda rows: rows.reshape(len(firsts), -1, *rows.shape[1:]), _rows_first(total))
-        parts = lax.map(lambda part: _rows_first(function(part[0], _rows_in_place(part[1]))), (firsts, own))
+    def in_parts(function: Callable[[Array], Any], firsts: Array) -> Any:
+        parts = lax.map(lambda first: _rows_first(function(first)), firsts)
         return _rows_in_place(jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), parts))
 
     @staticmethod
-    def picking(boundary: Callable[..., Any], numbers: Sequence[Array]) -> Pick:
-        # All numbers of a light side by side, in whole vectors: they are copied at once.
-        columns = jnp.concatenate([plane.reshape(-1, plane.shape[-1]) for plane in numbers])
-        table = jnp.pad(columns, ((0, -len(columns) % _VECTOR), (0, 0))).T
+    def form_of(lights: CulledLights) -> LightTable:
+        return lights.table
 
-        def pick(row: Array) -> list[Array]:
-            listed = boundary(lambda: table.at[row].get(mode="promise_in_bounds"), name="listed_lights")
-            planes, first = [], 0
-            for plane in numbers:
-                components = plane.shape[:-1]
-                planes.append(cast(Array, Inlined(partial(_columns, first, components), (listed,))))
-                first += math.prod(components)
-            return planes
+    @staticmethod
+    def listed(boundary: Callable[..., Any], lights: LightTable, row: Array) -> WorldLights:
+        rows = boundary(LightTable.read, lights, row, name="listed_lights")
+        numbers = iter(range(rows.shape[-1]))
 
-        return pick
+        def column() -> Array:
+            return cast(Array, Inlined(partial(_column, next(numbers)), (rows,)))
 
-
-_VECTOR = 16
-"""Numbers of float32 that a processor copies at once."""
+        leaves = [Stacked(tuple(column() for _ in range(*own))) if own else column() for own in lights.components]
+        return lights.tree.unflatten(leaves)
 
 
 def inverse(order: Int[Array, " clusters"]) -> Int[Array, " clusters"]:
@@ -196,8 +198,5 @@ def _with_rows(plane: Float[Array, "*components entries lanes"]) -> Float[Array,
     return with_layout_constraint(plane, Layout(tuple(range(plane.ndim))))
 
 
-def _columns(
-    first: int, components: tuple[int, ...], listed: Float[Array, "entries clusters numbers"]
-) -> Float[Array, "*components entries clusters 1"]:
-    own = jnp.moveaxis(listed[..., first : first + math.prod(components)], -1, 0)
-    return own.reshape(*components, *own.shape[1:], 1)
+def _column(number: int, rows: Float[Array, "entries clusters numbers"]) -> Float[Array, "entries clusters 1"]:
+    return rows[..., number : number + 1]

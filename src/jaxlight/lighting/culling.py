@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
+from .culled_lights import CulledLights, Form
 from .elementary import arctangent
 from .ordinary import for_all_mapped, ordinary_lights
 from .stages import Stage
@@ -79,17 +80,17 @@ class Found(NamedTuple):
         return self._replace(lists=self.lists[:, order])
 
 
-def find_near(stage: Stage, lights: WorldLights, in_scope: Bool[Array, " lights"] | None, extent: Extent) -> Found:
+def find_near(stage: Stage, lights: CulledLights, in_scope: Bool[Array, " lights"] | None, extent: Extent) -> Found:
     """The lights, of those in scope (None: all), that may reach the samples of a tile."""
-    words = _packed(stage(_reaches_tile, *lax.stop_gradient((lights, in_scope, extent))))
-    found = Found(words, jnp.cumsum(_count_of_flags(words)), words[:, None])
-    first = _batch(lights, found, jnp.zeros((), jnp.int32))
-    return found._replace(lists=_lists(stage, *first, extent.clusters))
+    words = _packed(stage(_reaches_tile, *lax.stop_gradient((lights.planes.planes, in_scope, extent))))
+    ends = jnp.cumsum(_count_of_flags(words))
+    first, count = _batch(stage, stage.clusters.form_of(lights), words, ends, jnp.zeros((), jnp.int32))
+    return Found(words, ends, _lists(stage, first, count, extent.clusters))
 
 
-def by_length(found: Sequence[Found]) -> Int[Array, " clusters"]:
-    """The clusters in the order of how many lights may reach them."""
-    length = reduce(jnp.add, [_lengths(own.lists) for own in found])
+def by_length(lists: Sequence[UInt32[Array, "words clusters"]]) -> Int[Array, " clusters"]:
+    """The clusters in the order of how many lights are on their lists."""
+    length = reduce(jnp.add, map(_lengths, lists))
     clusters = length.shape[0]
     return jnp.sort(length * clusters + jnp.arange(clusters, dtype=length.dtype)) % clusters
 
@@ -102,7 +103,7 @@ def received_from_near(
     stage: Stage,
     with_light: WithLight,
     total: Received | None,
-    lights: WorldLights,
+    lights: Form,
     found: Found,
     extent: Extent,
 ) -> Received:
@@ -110,27 +111,42 @@ def received_from_near(
     at_once = _collected_at_once(lights)
 
     def with_batch(total: Received | None, number: Array) -> Received:
-        batch, count = _batch(lights, found, number)
+        batch, count = _batch(stage, lights, found.words, found.ends, number)
         lists = found.lists
         if lights.count > at_once:
             lists = lax.cond(number == 0, lambda: lists, lambda: _lists(stage, batch, count, extent.clusters))
-        return _received_from_listed(stage, with_light, total, batch, count, lists, extent)
+        own = _received_from_listed(stage, with_light, batch, count, lists, extent)
+        return own if total is None else jax.tree.map(partial(_added, stage), total, own)
 
     return stage.sum(with_batch, total, 1 if lights.count <= at_once else _parts(found.ends[-1], at_once))
 
 
-def _batch(lights: WorldLights, found: Found, number: Int[Array, ""]) -> tuple[WorldLights, Int[Array, ""]]:
+def _added(stage: Stage, total: Array, own: Array) -> Array:
+    # Behind a boundary and without their axes, or XLA would look for the place of every number in its part.
+    return stage(jnp.add, total.reshape(-1), own.reshape(-1), name="added").reshape(total.shape)
+
+
+def _batch(
+    stage: Stage,
+    lights: Form,
+    words: UInt32[Array, " words"],
+    ends: Int[Array, " words"],
+    number: Int[Array, ""],
+) -> tuple[Form, Int[Array, ""]]:
     """As many of the lights that were found as are collected at once, filled up with any, and a black one; how many
     were found of them."""
     size = _collected_at_once(lights)
     first = number * size
-    rows = _rows_of_flags(found.words, found.ends, first + jnp.arange(size + 1), lights.count)
-    colored = (jnp.arange(size + 1) < size)[:, None, None]
-    batch = lights.with_planes(lambda plane: plane[rows], lambda colors: jnp.where(colored, colors[:, rows], 0.0))
-    return batch, jnp.minimum(found.ends[-1] - first, size)
+
+    def rows_of_batch(words: Array, ends: Array, first: Array) -> Int[Array, " batch"]:
+        rows = _rows_of_flags(words, ends, first + jnp.arange(size + 1), lights.count)
+        return jnp.where(jnp.arange(size + 1) < size, rows, lights.count)
+
+    batch = lights.of(stage(rows_of_batch, words, ends, first))
+    return batch, jnp.minimum(ends[-1] - first, size)
 
 
-def _collected_at_once(lights: WorldLights) -> int:
+def _collected_at_once(lights: Form) -> int:
     """Whole words."""
     return min(BATCH, -(-lights.count // WORD) * WORD)
 
@@ -193,45 +209,42 @@ def _in_cone(place: Vector, axis: Vector, cut_off_angle: Array, bounds: Bounds) 
 def _received_from_listed(
     stage: Stage,
     with_light: WithLight,
-    total: Received | None,
-    lights: WorldLights,
+    lights: Form,
     count: Int[Array, ""],
     lists: UInt32[Array, "words clusters"],
     extent: Extent,
 ) -> Received:
-    """`total` and the light of the first `count` lights, each cluster taking those on its list; the last is black."""
+    """The light of the first `count` lights, each cluster taking those on its list; the last is black."""
     ordinary = stage(_all_ordinary, *lax.stop_gradient((lights, count, extent)))
     stage = dataclasses.replace(stage, ordinary=stage.ordinary & for_all_mapped(ordinary))
     length = _lengths(lists)
     entries, at_once = stage.clusters.entries, stage.clusters.at_once()
-    planes, tree = jax.tree.flatten(lights)
-    pick = stage.clusters.picking(stage, [plane[..., 0, 0] for plane in planes])
 
-    def of_some(first: Int[Array, ""] | None, total: Received | None) -> Received:
+    def of_some(first: Int[Array, ""] | None) -> Received:
         own_lists, own_length = lists, length
         if first is not None:
             own_lists, own_length = (lax.dynamic_slice_in_dim(own, first, at_once, -1) for own in (lists, length))
 
         def with_entries(total: Received | None, number: Array) -> Received:
             entry = (number * entries + jnp.arange(entries))[:, None]
-            row = jnp.where(entry < own_length, stage(_listed_rows, own_lists, entry), lights.count - 1)
-            return with_light(stage, total, tree.unflatten(pick(row)), first)
+            row = stage(_listed_rows, own_lists, own_length, entry, lights.count)
+            return with_light(stage, total, stage.clusters.listed(stage, lights, row), first)
 
-        return stage.sum(with_entries, total, _parts(jnp.max(own_length), entries))
+        return stage.sum(with_entries, None, _parts(jnp.max(own_length), entries))
 
     (clusters,) = length.shape
     if clusters <= at_once:
-        return of_some(None, total)
-    return stage.clusters.in_parts(of_some, total, jnp.arange(0, clusters, at_once))
+        return of_some(None)
+    return stage.clusters.in_parts(of_some, jnp.arange(0, clusters, at_once))
 
 
-def _lists(stage: Stage, lights: WorldLights, count: Int[Array, ""], clusters: Bounds) -> UInt32[Array, "words lanes"]:
+def _lists(stage: Stage, lights: Form, count: Int[Array, ""], clusters: Bounds) -> UInt32[Array, "words lanes"]:
     """Which of the first `count` lights may reach each cluster's samples."""
     lights, clusters = lax.stop_gradient((lights, clusters))
 
     def word(number: Array) -> UInt32[Array, " lanes"]:
         def may() -> Bool[Array, "lights lanes"]:
-            some = lights.with_planes(partial(_word_of, number, axis=0), partial(_word_of, number, axis=1))
+            some = lights.lights(number * WORD, WORD)
             return may_reach(some, clusters) & (number * WORD + jnp.arange(WORD) < count)[:, None]
 
         return stage(_packed, stage(may))[0]
@@ -240,13 +253,9 @@ def _lists(stage: Stage, lights: WorldLights, count: Int[Array, ""], clusters: B
     return lax.fori_loop(0, _parts(count, WORD), lambda number, words: words.at[number].set(word(number)), nothing)
 
 
-def _word_of(number: Int[Array, ""], planes: Array, axis: int) -> Array:
-    return lax.dynamic_slice_in_dim(planes, number * WORD, WORD, axis=axis)
-
-
-def _all_ordinary(lights: WorldLights, count: Int[Array, ""], extent: Extent) -> Bool[Array, ""]:
+def _all_ordinary(lights: Form, count: Int[Array, ""], extent: Extent) -> Bool[Array, ""]:
     """Whether a tile is ordinary as far as the first `count` lights go."""
-    found = ordinary_lights(lights, extent.viewer, *_bounds(extent)[:2])[:, 0]
+    found = ordinary_lights(lights.lights(0, lights.count), extent.viewer, *_bounds(extent)[:2])[:, 0]
     return jnp.all(found | (jnp.arange(lights.count) >= count))
 
 
@@ -289,15 +298,17 @@ def _rows_of_flags(
     return _row_of(at, _bit_of_flag(word, number - ends[at] + _count_of_flags(word)), lights)
 
 
-def _listed_rows(words: UInt32[Array, "words lanes"], number: Int[Array, "chunk 1"]) -> Int[Array, "chunk lanes"]:
-    """The rows of the lights that are in each lane's list at places 0, 1, ...; beyond its end, any."""
+def _listed_rows(
+    words: UInt32[Array, "words lanes"], length: Int[Array, " lanes"], number: Int[Array, "chunk 1"], beyond: int
+) -> Int[Array, "chunk lanes"]:
+    """The rows of the lights that are in each lane's list at these places, and a row for what is beyond its end."""
     left = jnp.broadcast_to(number, (number.shape[0], words.shape[1]))
     word, at, before = jnp.zeros(left.shape, jnp.uint32), jnp.zeros_like(left), jnp.zeros_like(left)
     for i, own in enumerate(words):
         here = left >= 0
         word, at, before = jnp.where(here, own, word), jnp.where(here, i, at), jnp.where(here, left, before)
         left = left - _count_of_flags(own)  # negative from the word on that holds it
-    return WORD * at + _bit_of_flag(word, before)
+    return jnp.where(number < length, WORD * at + _bit_of_flag(word, before), beyond)
 
 
 def _bit_of_flag(word: UInt32[Array, "..."], number: Int[Array, "..."]) -> Int[Array, "..."]:

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float
 from ..raster.samples import SampleBuffer
 from .changes import with_change
 from .clusters import inverse
+from .culled_lights import CulledLights
 from .culling import received_from_near
 from .geometry import Geometry, directions
 from .highlight import highlight_of
@@ -171,8 +172,9 @@ def _light(how: How, near: Near | None, stage: Stage, inputs: TileInputs, tile: 
 
         most = stage.lights_at_once(lights.count, math.prod(tile.position.x.shape))
         found = None if near is None else near.found[kind]
-        if near is not None and found is not None:
-            total = received_from_near(stage, with_light, total, lights, found, near.extent)
+        if isinstance(lights, CulledLights):
+            assert near is not None and found is not None
+            total = received_from_near(stage, with_light, total, stage.clusters.form_of(lights), found, near.extent)
         elif lights.count > most:
             parts = -(-lights.count // most)
             # All about as long: what is missing is filled up with black.

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool
 from ..processor import for_cpu
 from ..raster.samples import LANES, SampleBuffer
 from ..scene import Materials, Scene, Surface
+from .culled_lights import CulledLights, LightTable, culled_lights
 from .highlight import highlight_of
 from .ordinary import ordinary_lights, squares_in_range
 from .plan import Plan
@@ -30,11 +31,10 @@ class Prepared(eqx.Module):
 
     materials: Materials | None
     """Every number on all lanes: [materials, 1, lanes], colours [materials, 3, 1, lanes]."""
-    directional: WorldLights | None
-    point: WorldLights | None
-    spot: WorldLights | None
+    lights: tuple[WorldLights | CulledLights | None, ...]
+    """Directional, point and spot lights."""
     scopes: tuple[Array | None, Array | None, Array | None]
-    """[surfaces, lights] of the kinds above; None: every light reaches every surface."""
+    """[surfaces, lights] of these kinds; None: every light reaches every surface."""
     fog: WorldFog | None
     textures: tuple[Array, ...]
     ordinary: Bool[Array, " tiles"]
@@ -52,7 +52,7 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan, together: int = 1) 
     if plan.culled:
         lanes = together * samples.tile // samples.cluster
     kinds = [(scene.directional, plan.directional), (scene.point, plan.point), (scene.spot, plan.spot)]
-    world: list[WorldLights | None] = []
+    world: list[WorldLights | CulledLights | None] = []
     shading_all: list[WorldLights] = []
     scopes: list[Array | None] = []
     for lights, light_plan in kinds:
@@ -61,7 +61,7 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan, together: int = 1) 
             scopes.append(None)
             continue
         own = lights_in_world(lights, light_plan, dtype, samples.camera_to_world, 1 if light_plan.culled else lanes)
-        world.append(own)
+        world.append(culled_lights(own) if light_plan.culled else own)
         if not light_plan.culled:
             shading_all.append(own)
         rows = slice(None) if light_plan.rows is None else np.asarray(light_plan.rows)
@@ -70,9 +70,7 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan, together: int = 1) 
         materials=None
         if scene.materials is None
         else jax.tree.map(lambda a: on_lanes(a.astype(dtype), lanes), scene.materials),
-        directional=world[0],
-        point=world[1],
-        spot=world[2],
+        lights=tuple(world),
         scopes=tuple(scopes),  # type: ignore[arg-type]  # three of them
         fog=None if plan.fog is None or scene.fog is None else fog_in_world(scene.fog, plan.fog, dtype, lanes),
         textures=tuple(texture.image for texture in scene.textures),
@@ -84,7 +82,7 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan, together: int = 1) 
 
 def on_one_lane(prepared: Prepared) -> Prepared:
     """The same numbers on one lane, to broadcast; without derivatives."""
-    return _with_planes(prepared, lambda plane: lax.stop_gradient(plane[..., :1]))
+    return lax.stop_gradient(_with_planes(prepared, lambda plane: plane[..., :1]))
 
 
 FEWER_LANES = 16
@@ -112,14 +110,20 @@ def on_all_lanes(slope: Prepared, prepared: Prepared) -> Prepared:
     return _with_planes(slope, filled, prepared)
 
 
-_ON_LANES = ("materials", "directional", "point", "spot", "fog")
+_ON_LANES = ("materials", "lights", "fog")
 
 
 def _with_planes(prepared: Prepared, of: Callable[..., Array], *others: Prepared) -> Prepared:
-    """With others for the planes of numbers on all lanes: of these planes, and those of `others`."""
+    """With others for the planes of numbers: of these planes, and those of `others`. Tables are left as they are."""
+
+    def is_table(part: Any) -> bool:
+        return isinstance(part, LightTable)
+
+    def own(plane: Any, *others: Any) -> Any:
+        return plane if is_table(plane) else of(plane, *others)
 
     def part(name: str) -> Any:
-        return jax.tree.map(of, *(getattr(one, name) for one in (prepared, *others)))
+        return jax.tree.map(own, *(getattr(one, name) for one in (prepared, *others)), is_leaf=is_table)
 
     return dataclasses.replace(prepared, **{name: part(name) for name in _ON_LANES})
 

@@ -24,7 +24,7 @@ from ..processor import for_cpu
 from .clusters import Arrangement, InRows
 from .one_loop import in_one_loop, on_planes
 from .stages import Stage
-from .unstored import Unstored, is_unstored, stored
+from .unstored import Stacked, Unstored, is_unstored, stored
 
 UNROLLED = 8
 """Lights that one loop evaluates: it holds the code for each of them."""
@@ -63,6 +63,8 @@ class SampleLoops(Stage):
         return UNROLLED
 
     def sum(self, term: Callable[[Any, Array], Any], total: Any, count: Int[Array, ""] | int) -> Any:
+        if isinstance(count, int) and count == 1:
+            return term(total, jnp.zeros((), jnp.int32))
         if total is None:
             shapes = jax.eval_shape(lambda: term(None, jnp.zeros((), jnp.int32)))
             total = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
@@ -118,7 +120,9 @@ def _single_planes(operands: Any) -> list[Float[Array, "#rows #lanes"]]:
     """
     planes = []
     for leaf in jax.tree.leaves(operands, is_leaf=is_unstored):
-        if isinstance(leaf, SideBySide):
+        if isinstance(leaf, Stacked):
+            planes += _single_planes(leaf.planes)
+        elif isinstance(leaf, SideBySide):
             planes += [leaf.numbers[..., k] for k in range(leaf.numbers.shape[-1])]
         else:
             array = stored(leaf)

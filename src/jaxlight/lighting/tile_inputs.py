@@ -17,10 +17,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..raster.samples import SampleBuffer
 from ..scene import Surface
+from .culled_lights import CulledLights
 from .culling import Bounds, Extent, Found, by_length, find_near
 from .geometry import Unread
 from .ordinary import for_all_mapped
-from .plan import LightPlan, Plan
+from .plan import Plan
 from .prepared import Prepared, compute_dtype, material_row, viewer_of
 from .stages import Stage
 from .surface import MaterialRow, sampled_texture
@@ -67,7 +68,7 @@ class TileInputs(NamedTuple):
     vertex_color: Unread | None
     texel: Array | None
     material: MaterialRow | None
-    lights: tuple[WorldLights | None, WorldLights | None, WorldLights | None]
+    lights: tuple[WorldLights | CulledLights | None, ...]
     """Directional, point and spot lights; those out of scope are black, if they are not culled."""
     fog: WorldFog | None
 
@@ -107,7 +108,7 @@ def read_tile(
     material = material_row(prepared, surface, row, how.run.single)
     lit = material is not None and surface.lighting == "lit"
     in_scope = tuple(None if scope is None else scope[row] for scope in prepared.scopes)
-    all_lights = (prepared.directional, prepared.point, prepared.spot) if lit else (None,) * 3
+    all_lights = prepared.lights if lit else (None,) * 3
     near = _near(stage, how, samples, first, all_lights, in_scope) if how.clustered else None
 
     # Known before the loops that read there: divided in each of them, LLVM would not see that it is always the same.
@@ -127,7 +128,8 @@ def read_tile(
 
     def unread(planes: Array, components: int = 3) -> Unread:
         if near is not None:
-            whole = part(planes, (components,))
+            # First as they lie: memory is read the quicker.
+            whole = stage(lambda own: own, part(planes, (components,)), name="read")
             own = stage(lambda own: arranged(own.reshape(components, -1)), whole, name="read")
             return Unread(tuple(cast(Array, Inlined(operator.itemgetter(k), (own,))) for k in range(components)), own)
         each = tuple(part(planes, (), component) for component in range(components))
@@ -155,7 +157,7 @@ def read_tile(
         vertex_color=vertex_color,
         texel=texel,
         material=material,
-        lights=tuple(map(_in_reach, all_lights, plan.lights, in_scope)),  # type: ignore[arg-type]  # three kinds
+        lights=tuple(map(_in_reach, all_lights, in_scope)),
         fog=prepared.fog if lit or plan.options.fog_unlit else None,
     )
     ordinary = for_all_mapped(jnp.all(lax.dynamic_slice_in_dim(prepared.ordinary, first, count)))
@@ -172,7 +174,7 @@ def _near(
     how: How,
     samples: SampleBuffer,
     first: Array | int,
-    lights: tuple[WorldLights | None, ...],
+    lights: tuple[WorldLights | CulledLights | None, ...],
     in_scope: tuple[Bool[Array, " lights"] | None, ...],
 ) -> Near:
     dtype = compute_dtype(samples)
@@ -187,12 +189,12 @@ def _near(
     clusters = Bounds(Vector(*bounds(samples.cluster_low, each)), Vector(*bounds(samples.cluster_high, each)), largest)
     extent = Extent(low, high, clusters, viewer_of(samples, how.plan))
     found = tuple(
-        find_near(stage, own, scope, extent) if own is not None and plan is not None and plan.culled else None
-        for own, scope, plan in zip(lights, in_scope, how.plan.lights, strict=True)
+        find_near(stage, own, scope, extent) if isinstance(own, CulledLights) else None
+        for own, scope in zip(lights, in_scope, strict=True)
     )
     if how.count * each <= stage.clusters.at_once():
         return Near(extent, found, None)
-    order = by_length([own for own in found if own is not None])
+    order = by_length([own.lists for own in found if own is not None])
     found = tuple(None if own is None else own.of(order) for own in found)
     return Near(extent._replace(clusters=clusters.of(order)), found, order)
 
@@ -205,10 +207,10 @@ def _part(blocks: int, shape: tuple[int, ...], dtype: jnp.dtype, array: Array, s
 
 
 def _in_reach(
-    lights: WorldLights | None, plan: LightPlan | None, in_scope: Bool[Array, "*rows lights"] | None
-) -> WorldLights | None:
+    lights: WorldLights | CulledLights | None, in_scope: Bool[Array, "*rows lights"] | None
+) -> WorldLights | CulledLights | None:
     """The lights with those out of scope made black; what is culled takes care of its scope itself."""
-    if lights is None or plan is None or plan.culled or in_scope is None:
+    if lights is None or isinstance(lights, CulledLights) or in_scope is None:
         return lights
     reaches = jnp.atleast_2d(in_scope).T[..., None]
     return dataclasses.replace(lights, color=jnp.where(reaches, lights.color, 0.0))

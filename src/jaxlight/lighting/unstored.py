@@ -8,6 +8,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array
 
 
@@ -39,6 +40,22 @@ class Inlined(Unstored):
     def stored(self) -> Array:
         """The plane."""
         return self.function(*stored(self.operands))
+
+
+class Stacked(Unstored):
+    """Planes one above the other, which are put together only where they are asked for as one."""
+
+    planes: tuple[Array, ...]
+    """All of the same shape; may be inlined themselves."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of all of them."""
+        return (len(self.planes), *self.planes[0].shape)
+
+    def stored(self) -> Array:
+        """All planes, along a new leading axis."""
+        return jnp.stack(stored(self.planes))
 
 
 def stored(operands: Any) -> Any:
