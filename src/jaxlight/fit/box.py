@@ -27,8 +27,15 @@ class _Trial(NamedTuple):
 
 
 class _State(NamedTuple):
+    """A round tries up to three moves, one after the other, so that each part of it is compiled once."""
+
     point: Float[Array, " n"]
+    image: Float[Array, " n"]
     round: Int[Array, ""]
+    in_the_way: Bool[Array, " n"]
+    """Bounds that the round's Newton step ran into at once."""
+    downhill: Bool[Array, ""]
+    """The Newton step led nowhere: the round goes on with the steepest descent."""
     solved: Bool[Array, ""]
     stuck: Bool[Array, ""]
 
@@ -39,8 +46,8 @@ def minimise_in_box(
     """argmin of 1/2 z^T H z + g^T z subject to lower <= z <= upper, for a matrix H with unit diagonal or larger."""
     size = gradient.shape[0]
 
-    def product(point: Array) -> Array:
-        return jnp.matmul(hessian, point, precision="highest")
+    def products(points: Array) -> Array:
+        return jnp.matmul(points, hessian, precision="highest")
 
     def solve_free(right: Array, free: Array) -> Array:
         both = free[:, None] & free[None, :]
@@ -48,11 +55,11 @@ def minimise_in_box(
         factor = jax.scipy.linalg.cho_factor(system, lower=True)
         return jax.scipy.linalg.cho_solve(factor, jnp.where(free, right, 0))
 
-    return minimise_quadratic(product, solve_free, gradient, lower, upper, rounds=4 * size + 8)
+    return minimise_quadratic(products, solve_free, gradient, lower, upper, rounds=4 * size + 8)
 
 
 def minimise_quadratic(
-    product: Callable[[Array], Array],
+    products: Callable[[Array], Array],
     solve_free: Callable[[Array, Array], Array],
     gradient: Float[Array, " n"],
     lower: Float[Array, " n"],
@@ -71,7 +78,7 @@ def minimise_quadratic(
     point is then still an improvement.
 
     Args:
-        product: z -> H z.
+        products: [k, n], rows z -> rows H z.
         solve_free: (right, free) -> z with (H z)_free = right_free and z = 0 elsewhere.
         gradient: g, in variables in which H has a diagonal of about 1.
         lower, upper: the box; it contains 0.
@@ -85,47 +92,63 @@ def minimise_quadratic(
     def value(point: Array, image: Array) -> Array:
         return jnp.vdot(point, image / 2 + gradient, precision="highest")
 
-    def best_along(point: Array, move: Array, length: Array | float) -> _Trial:
+    def pressing(point: Array, slope: Array) -> Array:
+        """The variables on a bound that would leave the box against the slope."""
+        return ((point <= lower) & (slope > 0)) | ((point >= upper) & (slope < 0))
+
+    def best_along(point: Array, move: Array, length: Array) -> _Trial:
         """The lowest of some points on the path from `point` along `length` x `move`, bent by the box."""
         room = jnp.where(move > 0, upper - point, lower - point)
         limit = jnp.min(jnp.where(move != 0, room / jnp.where(move != 0, move, 1), jnp.inf))
         lengths = jnp.concatenate([length * jnp.asarray(fractions, move.dtype), jnp.minimum(limit, length)[None]])
         points = jnp.clip(point + lengths[:, None] * move, lower, upper)
-        images = jax.lax.map(product, points)
+        images = products(points)
         values = jax.vmap(value)(points, images)
         best = jnp.argmin(jnp.where(jnp.isnan(values), jnp.inf, values))
         return _Trial(points[best], images[best], values[best])
 
-    def newton(grad: Array, held: Array) -> Array:
+    def newton(grad: Array, held: Array) -> tuple[Array, Array]:
         """The Newton step of the variables that are not held; downhill where H is singular to the precision at hand."""
         move = solve_free(-grad, ~held)
-        return jnp.where(held, 0, jnp.where(jnp.all(jnp.isfinite(move)), move, -grad))
+        move = jnp.where(held, 0, jnp.where(jnp.all(jnp.isfinite(move)), move, -grad))
+        return move, jnp.ones((), move.dtype)
 
     def steepest(grad: Array, held: Array) -> tuple[Array, Array]:
         """The direction of steepest descent among the variables that are not held, and how far its minimum lies."""
         move = jnp.where(held, 0, -grad)
-        bend = jnp.vdot(move, product(move), precision="highest")
+        bend = jnp.vdot(move, products(move[None])[0], precision="highest")
         return move, jnp.vdot(move, move, precision="highest") / jnp.where(bend > 0, bend, 1)
 
-    def improve(state: _State) -> _State:
-        point = state.point
-        image = product(point)
-        grad = image + gradient
-        held = ((point <= lower) & (grad > 0)) | ((point >= upper) & (grad < 0))
-        move = newton(grad, held)
-        # A bound whose own slope leads inwards may still be in the way of the Newton step: then it is held as well.
-        out = ((point <= lower) & (move < 0)) | ((point >= upper) & (move > 0))
-        move = jax.lax.cond(jnp.any(out), lambda: newton(grad, held | out), lambda: move)
-        here = value(point, image)
-        best = best_along(point, move, 1.0)
-        best = jax.lax.cond(best.value < here, lambda: best, lambda: best_along(point, *steepest(grad, held)))
+    def moved(state: _State, grad: Array, move: Array, length: Array) -> _State:
+        """After the best point along a move; where none is better, the round goes on downhill, or has got stuck."""
+        here = value(state.point, state.image)
+        best = best_along(state.point, move, length)
         better = best.value < here
-        point, image = jnp.where(better, best.point, point), jnp.where(better, best.image, image)
+        point, image = jnp.where(better, best.point, state.point), jnp.where(better, best.image, state.image)
         left = jnp.clip(point - image - gradient, lower, upper) - point
         largest = jnp.max(jnp.abs(gradient))
         enough = 8 * eps * (largest + size * jnp.max(jnp.abs(point))) + tolerance * largest
-        return _State(point, state.round + 1, jnp.max(jnp.abs(left)) <= enough, ~better)
+        over = better | state.downhill
+        return _State(
+            point=point,
+            image=image,
+            round=state.round + over,
+            in_the_way=jnp.zeros_like(state.in_the_way),
+            downhill=~over,
+            solved=over & (jnp.max(jnp.abs(left)) <= enough),
+            stuck=over & ~better,
+        )
 
-    start = _State(jnp.zeros_like(gradient), jnp.zeros((), jnp.int32), jnp.array(False), jnp.array(False))
+    def improve(state: _State) -> _State:
+        grad = state.image + gradient
+        held = pressing(state.point, grad) | state.in_the_way
+        move, length = jax.lax.cond(state.downhill, steepest, newton, grad, held)
+        # A bound whose own slope leads inwards may still be in the way of the Newton step: then it is held as well.
+        out = pressing(state.point, -move)
+        again = jnp.any(out) & ~jnp.any(state.in_the_way) & ~state.downhill
+        return jax.lax.cond(again, lambda: state._replace(in_the_way=out), lambda: moved(state, grad, move, length))
+
+    no, none = jnp.array(False), jnp.zeros_like(gradient)
+    start = _State(none, none, jnp.zeros((), jnp.int32), jnp.zeros(size, bool), no, no, no)
     end = jax.lax.while_loop(lambda s: ~s.solved & ~s.stuck & (s.round < rounds), improve, start)
     return BoxMinimum(end.point, end.solved)

@@ -184,7 +184,7 @@ class ArrowCurvature(Curvature):
             return _conjugate_gradients(product, precondition, right, free, TOLERANCE)
 
         found = minimise_quadratic(
-            product, solve_free, gradient / scale, lower * scale, upper * scale,
+            lambda points: jax.lax.map(product, points), solve_free, gradient / scale, lower * scale, upper * scale,
             rounds=4, fractions=(1.0, 0.25), tolerance=10 * TOLERANCE,
         )  # fmt: skip
         return BoxMinimum(found.point / scale, found.solved)
