@@ -399,7 +399,7 @@ def test_a_checkpoint_of_another_format_or_jax_says_so(half: Path, tmp_path: Pat
     content = (half / "fit.npz").read_bytes()
     with np.load(half / "fit.npz") as archive:
         header = json.loads(archive["header"].tobytes())
-    for change, expected in (({"format": 1}, "format 1; this version reads 2"), ({"jax": "0.0.1"}, "jax 0.0.1")):
+    for change, expected in (({"format": 1}, "format 1; this version reads 3"), ({"jax": "0.0.1"}, "jax 0.0.1")):
         changed = np.frombuffer(json.dumps({**header, **change}).encode(), np.uint8)
         (tmp_path / "fit.npz").write_bytes(_with_member(content, "header", changed))
         with pytest.raises(ValueError) if "format" in change else pytest.warns(CheckpointWarning) as caught:

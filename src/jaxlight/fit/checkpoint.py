@@ -28,7 +28,7 @@ from .run import FitState, begin
 from .solver import BoundedLevenbergMarquardt
 from .steps import Step
 
-FORMAT = 2
+FORMAT = 3
 """Changes whenever older checkpoints cannot be carried on with."""
 MAX_STEPS = 1_000_000
 """Steps that a checkpoint may list."""

@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..arrays import array_of
 from ..scene.paths import LIGHT_ATTRIBUTES
 from .parameters import Parameters
 
@@ -125,8 +126,9 @@ def columns_of(parameters: Parameters, dtype: Any) -> Columns:
     """The directions for these parameters (texels of blocks are none of them)."""
     sets: list[list[tuple[Any, int]]] = [[] for _ in range(parameters.few)]
     for part in parameters.leaves:
-        for element, number in zip(np.asarray(part.elements).tolist(), np.asarray(part.sources).tolist(), strict=True):
-            sets[number].append((part.leaf, element))
+        for element, number in enumerate(np.asarray(part.source).tolist()):
+            if number >= 0:
+                sets[number].append((part.leaf, element))
     together = _most_together(sets)
     # Of each direction: by channel the numbers that it moves; where it comes in the order; the elements that it moves.
     columns: dict[Any, dict[int, int]] = {}
@@ -149,8 +151,8 @@ def columns_of(parameters: Parameters, dtype: Any) -> Columns:
             own[slice(None) if channel < 0 else channel, row, number] = 1
     groups = [list(group) for _, group in groupby(keys, key=lambda key: order[key][1])]
     return Columns(
-        jnp.asarray(directions, dtype),
-        jnp.asarray(own, dtype),
+        array_of(directions, dtype),
+        array_of(own, dtype),
         tuple(_group(parameters, len(group), set().union(*(moved[key] for key in group))) for group in groups),
         sum(not later for later, _ in order.values()),
     )

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import jax.numpy as jnp
 import numpy as np
 
+from ..arrays import array_of
 from ..scene import paths
 from ..scene.fields import number
 from ..scene.paths import Path
@@ -107,9 +108,11 @@ def free_parameters(
             members.setdefault(one.path, []).append((one, number))
     leaves = []
     for leaf in dict.fromkeys(leaf for leaf, _ in taken):
-        pairs = [(element, number) for (owner, element), number in taken.items() if owner == leaf]
-        elements, numbers = (jnp.asarray(column, dtype=jnp.int32) for column in zip(*pairs, strict=True))
-        leaves.append(FreeLeaf(elements, numbers, leaf))
+        source = np.full(world.array(leaf).size, -1, np.int32)
+        for (owner, element), number in taken.items():
+            if owner == leaf:
+                source[element] = number
+        leaves.append(FreeLeaf(jnp.asarray(source), leaf))
     columns = [np.array(column) for column in (values, lower, upper, means, precisions)]
     made = []
     for request, leaf in whole:
@@ -118,7 +121,7 @@ def free_parameters(
         block, own = _texel_block(world, request, leaf, len(columns[0]), dtype)
         made.append(block)
         columns = [np.concatenate(pair) for pair in zip(columns, own, strict=True)]
-    arrays = (jnp.asarray(column, dtype=dtype) for column in columns)
+    arrays = (array_of(column, dtype) for column in columns)
     return Parameters(*arrays, leaves=tuple(leaves), blocks=tuple(made)), _described(members)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -19,19 +20,25 @@ class World(eqx.Module):
     scene: Scene
     exposure: Float[Array, " views"]
 
+    def array(self, leaf: paths.Leaf | None) -> Array:
+        """A leaf of the scene; None: the exposures."""
+        return self.exposure if leaf is None else leaf.get(self.scene)
+
 
 class FreeLeaf(eqx.Module):
-    """Numbers of one leaf that are free: element `elements[k]` of the leaf is parameter `sources[k]`."""
+    """A leaf some of whose elements are free."""
 
-    elements: Int[Array, " numbers"]
-    sources: Int[Array, " numbers"]
+    source: Int[Array, " elements"]
+    """Which parameter each element of the leaf is; -1: it is fixed."""
     leaf: paths.Leaf | None = eqx.field(static=True)
     """Leaf of the scene; None: the exposures."""
 
     def put(self, world: World, values: Float[Array, " parameters"]) -> World:
         """The world with this leaf's free elements set."""
-        old = world.exposure if self.leaf is None else self.leaf.get(world.scene)
-        new = old.reshape(-1).at[self.elements].set(values[self.sources], unique_indices=True).reshape(old.shape)
+        old = world.array(self.leaf)
+        # One loop: to put numbers where they belong, XLA would take several.
+        own = values.at[jnp.maximum(self.source, 0)].get(mode="promise_in_bounds", wrap_negative_indices=False)
+        new = jnp.where(self.source < 0, old.reshape(-1), own.astype(old.dtype)).reshape(old.shape)
         if self.leaf is None:
             return eqx.tree_at(lambda w: w.exposure, world, new)
         return eqx.tree_at(lambda w: w.scene, world, self.leaf.set(world.scene, new))

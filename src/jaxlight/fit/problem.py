@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..arrays import array_of
 from ..lighting import LightingOptions, make_plan
 from ..lighting.checks import check_samples
 from ..scene.checks import check_scene
@@ -109,7 +110,7 @@ def make_problem(
     _check_finite(scene)
     exposures = [exposure_of(view, row) for row, view in enumerate(each)]
     # The document is no number and would only make programs of equal scenes differ.
-    world = World(dataclasses.replace(scene, document=None), jnp.asarray(exposures, dtype=dtype))
+    world = World(dataclasses.replace(scene, document=None), array_of(exposures, dtype))
     parameters, fields = free_parameters(world, free, names, dtype)
     data = [_planned(world, parameters, view_data(scene, view, row, dtype), options) for row, view in enumerate(each)]
     labels = [""] * parameters.few
@@ -126,9 +127,9 @@ def make_problem(
         sampling=texel_sampling(stacks, scene.surfaces, parameters.blocks),
         views=stacks,
         every=jnp.ones((), jnp.int32),
-        count=jnp.asarray(count, dtype=dtype),
-        signal=jnp.asarray(sum(_signal(one) for one in data), dtype=dtype),
-        loss_scale=jnp.asarray(1.0 if loss_scale is None else loss_scale, dtype=dtype),
+        count=array_of(count, dtype),
+        signal=array_of(sum(_signal(one) for one in data), dtype),
+        loss_scale=array_of(1.0 if loss_scale is None else loss_scale, dtype),
         loss_kind=loss,
         settles=loss == "squares"
         and not parameters.blocks
@@ -177,7 +178,7 @@ def _strides(scene: Scene, parameters: Parameters, fields: list[FreeField], view
             vector = np.asarray(field.leaf.get(scene)[field.row], np.float64) - center
             held = np.linalg.norm(np.delete(vector, field.components))
             floor[field.numbers] = np.maximum(floor[field.numbers], held)
-    return Strides(*(jnp.asarray(a, dtype) for a in (down, up, floor, origin)), group=jnp.asarray(group))
+    return Strides(*(array_of(a, dtype) for a in (down, up, floor, origin)), group=jnp.asarray(group))
 
 
 def scene_of_view(world: World, view: ViewData) -> Scene:
@@ -209,7 +210,7 @@ def _stack(views: list[ViewData]) -> tuple[ViewData, ...]:
     for view in views:
         leaves, structure = jax.tree.flatten(view)
         groups.setdefault((structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves)), []).append(view)
-    return tuple(jax.tree.map(lambda *leaves: jnp.stack(leaves), *group) for group in groups.values())
+    return tuple(jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *group) for group in groups.values())
 
 
 def _float_type(scene: Scene) -> Any:

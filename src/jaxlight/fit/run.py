@@ -19,6 +19,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
@@ -51,17 +52,17 @@ class FitState(eqx.Module):
     @property
     def accepted(self) -> int:
         """Steps that lowered the loss; the evaluation of a start is none."""
-        return int(self.earlier[0]) + int(self.solver.num_accepted_steps)
+        return int(np.asarray(self.earlier)[0]) + int(self.solver.num_accepted_steps)
 
     @property
     def tried(self) -> int:
         """Steps that were tried."""
-        return int(self.earlier[1]) + max(int(self.solver.num_steps) - 1, 0)
+        return int(np.asarray(self.earlier)[1]) + max(int(self.solver.num_steps) - 1, 0)
 
     @property
     def evaluations(self) -> int:
         """Evaluations so far, those of starts included."""
-        return int(self.earlier[2]) + int(self.solver.num_steps)
+        return int(np.asarray(self.earlier)[2]) + int(self.solver.num_steps)
 
 
 def residual_function(values: Array, problem: Problem) -> tuple[Any, None]:

@@ -70,7 +70,7 @@ def describe_step(
         loss=value,
         rms=rms(value, description.residuals),
         gradient=float(np.max(gradient)),
-        damping=float(1 / inner.search_state.step_size),
+        damping=float(1 / np.asarray(inner.search_state.step_size)),
         step_norm=float(inner.step_norm),
         seconds=seconds,
         seconds_left=math.nan,

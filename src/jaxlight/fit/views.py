@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..arrays import array_of
 from ..formats.levels import is_chosen, refuse_levels
 from ..raster.samples import SampleBuffer
 from ..scene.fields import number, positive
@@ -144,15 +145,15 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         samples=samples,
         target=layout.stored(target, dtype),
         root_weight=layout.stored(root_weight, dtype),
-        saturated=jnp.asarray(saturated, dtype=dtype),
-        dark=jnp.asarray(dark, dtype=dtype),
-        row=jnp.asarray(row, dtype=jnp.int32),
+        saturated=array_of(saturated, dtype),
+        dark=array_of(dark, dtype),
+        row=array_of(row, jnp.int32),
         lights=tuple(None if own is None else jnp.asarray(own) for own in chosen),
         in_scope=tuple(scopes),
         plan=None,
         background=None if background is None else layout.stored(background, dtype),
-        pixel=None if layout.pixel is None else jnp.asarray(layout.pixel, dtype=jnp.int32),
-        share=None if layout.share is None else jnp.asarray(layout.share, dtype=dtype),
+        pixel=None if layout.pixel is None else array_of(layout.pixel, jnp.int32),
+        share=None if layout.share is None else array_of(layout.share, dtype),
     )
 
 
@@ -241,7 +242,7 @@ class _Layout:
 
     def stored(self, rows: np.ndarray, dtype: Any) -> Any:
         """[points, channels] -> planes [channels, stored points], padding 0."""
-        return jnp.asarray(np.where(self.is_padding[:, None], 0.0, rows[self.source]).T, dtype=dtype)
+        return array_of(np.where(self.is_padding[:, None], 0.0, rows[self.source]).T, dtype)
 
     def where(self, point: int) -> str:
         if self.image_index is None or self.samples.width is None:

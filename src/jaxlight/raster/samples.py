@@ -15,6 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from ..arrays import array_of
 from ..processor import sizes
 from ..scene.fields import float_type, largest_of, whole
 
@@ -151,7 +152,7 @@ class SampleBuffer(eqx.Module):
             if values is None:
                 return None
             blocks = values[layout.source].reshape(-1, layout.group * layout.tile, values.shape[1])
-            return jnp.asarray(np.ascontiguousarray(blocks.swapaxes(1, 2)), dtype=dtype)
+            return array_of(np.ascontiguousarray(blocks.swapaxes(1, 2)), dtype)
 
         def slots(values: np.ndarray | None, padding: float) -> Any:
             return None if values is None else np.where(layout.is_padding, padding, values[layout.source])
@@ -164,22 +165,22 @@ class SampleBuffer(eqx.Module):
         return cls(
             position_planes=planes(position),
             normal_planes=planes(normal),
-            eye=jnp.asarray(eye, dtype=dtype),
-            camera_to_world=None if camera_to_world is None else jnp.asarray(camera_to_world, dtype=dtype),
-            pixel_to_world=None if pixel_to_world is None else jnp.asarray(pixel_to_world, dtype=dtype),
+            eye=array_of(eye, dtype),
+            camera_to_world=None if camera_to_world is None else array_of(camera_to_world, dtype),
+            pixel_to_world=None if pixel_to_world is None else array_of(pixel_to_world, dtype),
             color_planes=planes(color),
-            texel_index=None if index is None else jnp.asarray(index, dtype=jnp.int32),
+            texel_index=None if index is None else array_of(index, jnp.int32),
             texel_weight=None
             if texel_weight is None
-            else jnp.asarray(np.ascontiguousarray(texel_weight[layout.source].T), dtype=dtype),
-            pixel_slots=None if pixels is None else jnp.asarray(pixels, dtype=jnp.int32),
-            coverage_slots=None if share is None else jnp.asarray(share, dtype=dtype),
-            slot=None if layout.slot is None else jnp.asarray(layout.slot, dtype=jnp.int32),
-            tile_surface=jnp.asarray(layout.tile_surface, dtype=jnp.int32),
-            tile_low=jnp.asarray(in_tiles.min(axis=1).T, dtype=dtype),
-            tile_high=jnp.asarray(in_tiles.max(axis=1).T, dtype=dtype),
-            cluster_low=jnp.asarray(in_clusters.min(axis=1).T, dtype=dtype),
-            cluster_high=jnp.asarray(in_clusters.max(axis=1).T, dtype=dtype),
+            else array_of(np.ascontiguousarray(texel_weight[layout.source].T), dtype),
+            pixel_slots=None if pixels is None else array_of(pixels, jnp.int32),
+            coverage_slots=None if share is None else array_of(share, dtype),
+            slot=None if layout.slot is None else array_of(layout.slot, jnp.int32),
+            tile_surface=array_of(layout.tile_surface, jnp.int32),
+            tile_low=array_of(in_tiles.min(axis=1).T, dtype),
+            tile_high=array_of(in_tiles.max(axis=1).T, dtype),
+            cluster_low=array_of(in_clusters.min(axis=1).T, dtype),
+            cluster_high=array_of(in_clusters.max(axis=1).T, dtype),
             runs=layout.runs,
             count=count,
             tile=layout.tile,

@@ -6,9 +6,9 @@ import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from ..arrays import array_of
 from . import nodes
 from .document import Document, PlacedShape, PlacedViewpoint
 from .fields import float_type, largest_of
@@ -179,7 +179,7 @@ class _Stack:
             place = tuple(np.argwhere(too_large)[0].tolist())
             name = where if isinstance(where, str) else where(place[0])
             raise ValueError(f"{name}: {wide[place]:g} is larger than {largest:.3g}, the most that the type holds")
-        return jnp.asarray(wide, dtype=self.dtype)
+        return array_of(wide, self.dtype)
 
     def _fields(self, rows: list[Any], *names: str) -> dict[str, Any]:
         def field(name: str) -> Any:
