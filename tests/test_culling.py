@@ -304,7 +304,6 @@ def test_no_light_that_reaches_is_missed_however_large_the_scene(size: float) ->
         ),
         jnp.dtype(jnp.float32),
         None,
-        1,
     )
     largest = jnp.max(jnp.abs(jnp.stack([low, high])))
     bounds = culling.Bounds(Vector(*jnp.asarray(low)), Vector(*jnp.asarray(high)), largest)

@@ -30,7 +30,7 @@ def world_lights(kind: str, where: np.ndarray) -> WorldLights:
     shape = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()))
     scene = Scene.from_nodes([shape, *map(make, where)], dtype=np.float64)
     lights, plan = getattr(scene, kind), getattr(make_plan(scene), kind)
-    return lights_in_world(lights, plan, jnp.dtype("float64"), None, 1)
+    return lights_in_world(lights, plan, jnp.dtype("float64"), None)
 
 
 def vector(rows: np.ndarray) -> Vector:

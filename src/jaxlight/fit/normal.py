@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
@@ -96,7 +95,7 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
             exposure, color = pull_both(heard(residual))
             slopes = [slope_of(color) for slope_of in slopes_of]
             if parts[0].moving.exposure is not None:
-                slopes[0] = eqx.tree_at(lambda inputs: inputs.exposure, slopes[0], exposure)
+                slopes[0] = slopes[0]._replace(exposure=exposure)
             return add_terms(carry, (ravel_pytree((half_losses(*problem.rho, residual), slopes))[0],))
 
         # As one array: of several, each would be copied for every tile.

@@ -42,8 +42,9 @@ class ViewInputs(eqx.Module):
 class Tile(NamedTuple):
     """One tile of a view."""
 
-    color: Callable[[ViewInputs, Plan], Color]
-    """The colours as a function of the inputs, as far as a plan computes them."""
+    color: Callable[..., Color]
+    """color(inputs, plan), the colours as far as the plan computes them; with the keyword `single`, the inputs on one
+    lane, if `inputs` are on all lanes."""
     residual_of: Callable[[Float[Array, ""], Color], Float[Array, "3 samples"]]
     """The weighted residuals as a function of exposure and colours; where pixels gather samples, what each adds."""
     run: Run
@@ -148,8 +149,9 @@ def _tile(view: ViewData, run: Run, index: Array, forward: bool, together: int =
     def cut(plane: Array) -> Array:
         return cast(Array, Inlined(partial(tile_of, tile=size), (plane, index)))
 
-    def color_of(inputs: ViewInputs, plan: Plan) -> Color:
-        return tile_color(run, inputs.prepared, view.samples, plan, index, together, forward=forward)
+    def color_of(inputs: ViewInputs, plan: Plan, single: ViewInputs | None = None) -> Color:
+        own = None if single is None else single.prepared
+        return tile_color(run, inputs.prepared, view.samples, plan, index, together, single=own, forward=forward)
 
     def part_of_pixel(exposure: Array, color: Color) -> Array:
         assert view.pixel is not None and view.share is not None

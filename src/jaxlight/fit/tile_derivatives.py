@@ -16,16 +16,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..lighting.lanes import Packed, on_all_lanes, on_fewer_lanes, packed, summed, unpacked
 from ..lighting.moved import moved_leaves
 from ..lighting.one_tile import Color
 from ..lighting.plan import Plan, number_of_lights, plan_of_lights
-from ..lighting.prepared import Prepared, on_all_lanes, on_fewer_lanes
 from ..lighting.stages import Stage
 from ..scene.paths import LIGHT_ATTRIBUTES
 from .columns import Columns, Group, Rows
 from .problem import Problem
 from .streaming import Tile, ViewInputs, inputs_of
 from .views import ViewData
+
+
+class Slope(NamedTuple):
+    """The gradient by what moves of a view's inputs, in parts to be added up lane by lane."""
+
+    of_prepared: Packed
+    exposure: Float[Array, ""] | None
 
 
 class GradientPart(NamedTuple):
@@ -40,22 +47,31 @@ class GradientPart(NamedTuple):
     """From the gradient by these to that by the numbers."""
 
     @property
-    def zeros(self) -> ViewInputs:
-        """Of a slope."""
-        return jax.tree.map(jnp.zeros_like, _with_prepared(self.moving, on_fewer_lanes))
+    def zeros(self) -> Slope:
+        """Of no tile."""
+        return jax.tree.map(jnp.zeros_like, _slope(self._on_all_lanes))
 
-    def color_and_slope(self, tile: Tile) -> tuple[Color, Callable[[Color], ViewInputs]]:
-        """The colours of a tile, and from their cotangents the slope: that by what moves, on fewer lanes."""
-        color, pull = jax.vjp(lambda moving: tile.color(eqx.combine(moving, self.inputs), self.plan), self.moving)
-        return color, lambda cotangent: _with_prepared(pull(cotangent)[0], on_fewer_lanes)
+    def color_and_slope(self, tile: Tile) -> tuple[Color, Callable[[Color], Slope]]:
+        """The colours of a tile, and from their cotangents the slope."""
 
-    def pull(self, slope: ViewInputs) -> Float[Array, " parameters"]:
+        def color_at(moving: ViewInputs) -> Color:
+            return tile.color(eqx.combine(moving, self.inputs), self.plan, single=self.inputs)
+
+        color, pull = jax.vjp(color_at, self._on_all_lanes)
+        return color, lambda cotangent: _slope(pull(cotangent)[0])
+
+    def pull(self, slope: Slope) -> Float[Array, " parameters"]:
         """From the sum of the slopes of tiles the gradient by the numbers."""
-        return self.pull_moving(_with_prepared(slope, lambda own: on_all_lanes(own, self.moving.prepared)))
+        prepared = unpacked(summed(slope.of_prepared), self.moving.prepared)
+        return self.pull_moving(dataclasses.replace(self.moving, prepared=prepared, exposure=slope.exposure))
+
+    @property
+    def _on_all_lanes(self) -> ViewInputs:
+        return dataclasses.replace(self.moving, prepared=on_all_lanes(self.moving.prepared))
 
 
-def _with_prepared(inputs: ViewInputs, of: Callable[[Prepared], Prepared]) -> ViewInputs:
-    return dataclasses.replace(inputs, prepared=of(inputs.prepared))
+def _slope(inputs: ViewInputs) -> Slope:
+    return Slope(packed(on_fewer_lanes(inputs.prepared)), inputs.exposure)
 
 
 def parts_of(

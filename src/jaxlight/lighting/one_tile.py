@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from ..raster.samples import SampleBuffer
@@ -23,7 +24,7 @@ from .geometry import Geometry, directions
 from .highlight import highlight_of
 from .mapped import mapped_axis_first
 from .plan import Plan
-from .prepared import Prepared, compute_dtype, on_one_lane
+from .prepared import Prepared, compute_dtype
 from .sample_loops import UNROLLED, SampleLoops, SideBySide
 from .stages import Stage
 from .surface import MaterialRow, alpha, base_color
@@ -61,27 +62,24 @@ def tile_color(
 ) -> Color:
     """The equation on one tile, or on `count` tiles of one surface from tile `index` * `count` on.
 
-    `single`, `texel`: what `on_one_lane` and `sampled_texture` give, if that is known before all tiles; `forward`: if
-    derivatives are taken, then in forward mode.
+    `single`: the numbers of `prepared` on one lane; default: these. `texel`: what `sampled_texture` gives, if that is
+    known before all tiles; `forward`: if derivatives are taken, then in forward mode.
     """
-    single = on_one_lane(prepared) if single is None else single
+    single = lax.stop_gradient(prepared if single is None else single)
     return _tile_color(How(run, plan, count, forward), prepared, single, samples, texel, index)
 
 
 def rows_of_tiles(
-    run: Run, single: Prepared, samples: SampleBuffer, plan: Plan, first: Array | int, count: int
+    run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, first: Array | int, count: int
 ) -> Float[Array, "samples 4"]:
     """Red, green, blue and alpha, side by side, of `count` tiles from tile `first` on; not to be differentiated.
 
     Either they are of one block, or whole blocks, under at most UNROLLED lights.
-
-    Args:
-        single: what `on_one_lane` gives.
     """
     how = How(run, plan, count, with_alpha=True)
     lanes = _lanes_of_loops(how, samples)
     stage, near, inputs = read_tile(
-        SampleLoops(_always(how, samples, first), lanes=lanes), how, single, samples, None, first, lanes
+        SampleLoops(_always(how, samples, first), lanes=lanes), how, prepared, samples, None, first, lanes
     )
     color = _evaluated(how, near, stage, inputs)
     rows = color.numbers if isinstance(color, SideBySide) else jnp.moveaxis(color, 0, -1)

@@ -2,35 +2,34 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
-from functools import reduce
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Bool
 
 from ..processor import for_cpu
 from ..raster.samples import LANES, SampleBuffer
 from ..scene import Materials, Scene, Surface
-from .culled_lights import CulledLights, LightTable, culled_lights
+from .culled_lights import CulledLights, culled_lights
 from .highlight import highlight_of
 from .ordinary import ordinary_lights, squares_in_range
 from .plan import Plan
 from .surface import MaterialRow
 from .vectors import Vector
-from .world import WorldFog, WorldLights, fog_in_world, lights_in_world, on_lanes
+from .world import WorldFog, WorldLights, as_plane, fog_in_world, lights_in_world
 
 
 class Prepared(eqx.Module):
-    """What does not depend on the sample: materials and lights in world space, in the samples' float type."""
+    """What does not depend on the sample: materials and lights in world space, in the samples' float type.
+
+    Planes are on one lane, or on all lanes (`lanes.on_all_lanes`) where derivatives are taken in reverse mode.
+    """
 
     materials: Materials | None
-    """Every number on all lanes: [materials, 1, lanes], colours [materials, 3, 1, lanes]."""
+    """Planes [materials, 1, lanes], colours [materials, 3, 1, lanes]; of the only one without the first axis."""
     lights: tuple[WorldLights | CulledLights | None, ...]
     """Directional, point and spot lights."""
     scopes: tuple[Array | None, Array | None, Array | None]
@@ -41,7 +40,7 @@ class Prepared(eqx.Module):
     """Which tiles are ordinary (see `ordinary`) as far as lights go that are not culled."""
     surfaces: tuple[Surface, ...] = eqx.field(static=True)
     lanes: int = eqx.field(static=True)
-    """On which numbers are, but those of lights that are culled."""
+    """Of a row of samples where derivatives are taken."""
 
 
 def prepare(scene: Scene, samples: SampleBuffer, plan: Plan, together: int = 1) -> Prepared:
@@ -60,19 +59,17 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan, together: int = 1) 
             world.append(None)
             scopes.append(None)
             continue
-        own = lights_in_world(lights, light_plan, dtype, samples.camera_to_world, 1 if light_plan.culled else lanes)
+        own = lights_in_world(lights, light_plan, dtype, samples.camera_to_world)
         world.append(culled_lights(own) if light_plan.culled else own)
         if not light_plan.culled:
             shading_all.append(own)
         rows = slice(None) if light_plan.rows is None else np.asarray(light_plan.rows)
         scopes.append(jnp.asarray(lights.in_scope.array[:, rows]) if light_plan.scoped else None)
     return Prepared(
-        materials=None
-        if scene.materials is None
-        else jax.tree.map(lambda a: on_lanes(a.astype(dtype), lanes), scene.materials),
+        materials=None if scene.materials is None else _planes_of(scene.materials, dtype),
         lights=tuple(world),
         scopes=tuple(scopes),  # type: ignore[arg-type]  # three of them
-        fog=None if plan.fog is None or scene.fog is None else fog_in_world(scene.fog, plan.fog, dtype, lanes),
+        fog=None if plan.fog is None or scene.fog is None else fog_in_world(scene.fog, plan.fog, dtype),
         textures=tuple(texture.image for texture in scene.textures),
         ordinary=_ordinary(samples, dtype, shading_all, viewer_of(samples, plan)),
         surfaces=scene.surfaces,
@@ -80,52 +77,14 @@ def prepare(scene: Scene, samples: SampleBuffer, plan: Plan, together: int = 1) 
     )
 
 
-def on_one_lane(prepared: Prepared) -> Prepared:
-    """The same numbers on one lane, to broadcast; without derivatives."""
-    return lax.stop_gradient(_with_planes(prepared, lambda plane: plane[..., :1]))
+def _planes_of(materials: Materials, dtype: jnp.dtype) -> Materials:
+    planes = jax.tree.map(lambda a: as_plane(a.astype(dtype)), materials)
+    return jax.tree.map(lambda plane: plane[0], planes) if is_only(materials) else planes
 
 
-FEWER_LANES = 16
-"""Of whole vectors: to add up derivatives of many lights tile by tile on all lanes is to go through more memory."""
-
-
-def on_fewer_lanes(slope: Prepared) -> Prepared:
-    """Of derivatives by the numbers on all lanes sums over some of the lanes each."""
-
-    def folded(plane: Array) -> Array:
-        lanes = plane.shape[-1]
-        if lanes % FEWER_LANES or lanes == FEWER_LANES:
-            return plane
-        return reduce(jnp.add, [plane[..., first : first + FEWER_LANES] for first in range(0, lanes, FEWER_LANES)])
-
-    return _with_planes(slope, folded)
-
-
-def on_all_lanes(slope: Prepared, prepared: Prepared) -> Prepared:
-    """Derivatives on as many lanes as `prepared` has, whose sums over lanes are those of `slope`."""
-
-    def filled(plane: Array, like: Array) -> Array:
-        return jnp.pad(plane, [(0, 0)] * (plane.ndim - 1) + [(0, like.shape[-1] - plane.shape[-1])])
-
-    return _with_planes(slope, filled, prepared)
-
-
-_ON_LANES = ("materials", "lights", "fog")
-
-
-def _with_planes(prepared: Prepared, of: Callable[..., Array], *others: Prepared) -> Prepared:
-    """With others for the planes of numbers: of these planes, and those of `others`. Tables are left as they are."""
-
-    def is_table(part: Any) -> bool:
-        return isinstance(part, LightTable)
-
-    def own(plane: Any, *others: Any) -> Any:
-        return plane if is_table(plane) else of(plane, *others)
-
-    def part(name: str) -> Any:
-        return jax.tree.map(own, *(getattr(one, name) for one in (prepared, *others)), is_leaf=is_table)
-
-    return dataclasses.replace(prepared, **{name: part(name) for name in _ON_LANES})
+def is_only(materials: Materials) -> bool:
+    """Whether there is one material, whose planes have no axis of materials then."""
+    return len(materials.names) == 1
 
 
 def _ordinary(
@@ -151,13 +110,16 @@ def compute_dtype(samples: SampleBuffer) -> jnp.dtype:
 
 def material_row(prepared: Prepared, surface: Surface, row: Any, single: int | None) -> MaterialRow | None:
     """The material of a surface row, or of several, which are rows of planes then; a known row needs no lookup."""
-    if surface.material < 0 or prepared.materials is None:
+    materials = prepared.materials
+    if surface.material < 0 or materials is None:
         return None
+    if is_only(materials):
+        return MaterialRow(*(getattr(materials, name) for name in MaterialRow._fields))
     numbers = np.array([other.material for other in prepared.surfaces])
     material = numbers[single] if single is not None else jnp.asarray(numbers)[row]
 
     def field(name: str) -> Array:
-        own = getattr(prepared.materials, name)[material]
+        own = getattr(materials, name)[material]
         return own if np.ndim(material) == 0 else jnp.moveaxis(own[..., 0, :], 0, -2)
 
     return MaterialRow(*map(field, MaterialRow._fields))

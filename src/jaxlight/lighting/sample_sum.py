@@ -20,11 +20,12 @@ from jaxtyping import Array, Float
 
 from ..raster.samples import LANES, SampleBuffer
 from ..scene import Scene
+from .lanes import on_all_lanes, on_fewer_lanes, packed, summed, unpacked
 from .moved import moved_leaves
 from .one_tile import Color, tile_color
 from .options import LightingOptions
 from .plan import Plan
-from .prepared import compute_dtype, on_all_lanes, on_fewer_lanes, on_one_lane, prepare
+from .prepared import compute_dtype, prepare
 from .shade import checked, shade_planes
 from .stages import Stage
 from .tile_inputs import tile_of
@@ -145,17 +146,17 @@ def _by_tiles(
     which = moved_leaves(prepared_at, own_scene)
     moving, pull = jax.vjp(lambda own: eqx.filter(prepared_at(own), which), own_scene)
     prepared = prepared_at(own_scene)
-    single = on_one_lane(prepared)
+    wide = on_all_lanes(moving)
     # As one array: of several, each would be copied for every tile.
-    start = (jnp.zeros(LANES, compute_dtype(samples)), on_fewer_lanes(moving), own_numbers)
-    zeros, apart = ravel_pytree(jax.tree.map(jnp.zeros_like, start))
+    start = (jnp.zeros(LANES, compute_dtype(samples)), packed(on_fewer_lanes(wide)), own_numbers)
+    zeros, terms_of = ravel_pytree(jax.tree.map(jnp.zeros_like, start))
     carry = ((zeros,), (zeros,))
     for run in surface_runs(scene.surfaces, samples):
 
         def step(carry: Any, index: Array, run: Any = run) -> tuple[Any, None]:
             def color_at(moving: Any) -> Color:
                 own = eqx.combine(moving, prepared)
-                return tile_color(run, own, samples, plan, index, together, single=single)
+                return tile_color(run, own, samples, plan, index, together, single=prepared)
 
             def cut(plane: Array) -> Any:
                 return Inlined(partial(tile_of, tile=count), (plane, index))
@@ -170,12 +171,12 @@ def _by_tiles(
                 values = Stage(index >= 0).each(of_samples, color, *own, all_numbers)
                 return summed_on_lanes(values).astype(zeros.dtype)
 
-            color, pull_color = jax.vjp(color_at, moving)
+            color, pull_color = jax.vjp(color_at, wide)
             value, pull_value = jax.vjp(summed, color, own_numbers)
             of_color, of_numbers = pull_value(jnp.ones_like(value))
-            terms = (value, on_fewer_lanes(pull_color(of_color)[0]), of_numbers)
+            terms = (value, packed(on_fewer_lanes(pull_color(of_color)[0])), of_numbers)
             return add_terms(carry, (ravel_pytree(terms)[0],)), None
 
         carry = lax.scan(step, carry, jnp.arange(run.start // together, run.stop // together))[0]
-    value, slope, of_numbers = apart(added_up(carry)[0])
-    return jnp.sum(value), (pull(on_all_lanes(slope, moving))[0], of_numbers)
+    value, slope, of_numbers = terms_of(added_up(carry)[0])
+    return jnp.sum(value), (pull(unpacked(summed(slope), moving))[0], of_numbers)

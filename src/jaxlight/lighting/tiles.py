@@ -10,6 +10,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -19,9 +20,10 @@ from ..processor import sizes
 from ..raster.samples import SampleBuffer
 from ..scene import Scene, Surface
 from .changes import with_change, without_zeros
+from .lanes import Packed, on_all_lanes, packed, spread, unpacked
 from .one_tile import Color, rows_of_tiles, tile_color
 from .plan import Plan
-from .prepared import Prepared, compute_dtype, on_one_lane
+from .prepared import Prepared, compute_dtype
 from .surface import sampled_texture
 from .tile_inputs import Run
 
@@ -99,16 +101,16 @@ def rows_of_run(
     run: Run, prepared: Prepared, samples: SampleBuffer, plan: Plan, share: Share | None, *, one_loop: bool
 ) -> Float[Array, "tiles tile 4"]:
     """Red, green, blue and alpha of the tiles of a run or of a share of them; not to be differentiated."""
-    single, count = on_one_lane(prepared), samples.group
+    count = samples.group
     steps = (run.stop - run.start) // count
     numbers = jnp.arange(steps) if share is None else share.of(steps)
     if one_loop:
         first = run.start if share is None else run.start + numbers[0] * count
-        rows = rows_of_tiles(run, single, samples, plan, first, numbers.shape[0] * count)
+        rows = rows_of_tiles(run, prepared, samples, plan, first, numbers.shape[0] * count)
     else:
 
         def step(_: None, first: Array) -> tuple[None, Array]:
-            return None, rows_of_tiles(run, single, samples, plan, first, count)
+            return None, rows_of_tiles(run, prepared, samples, plan, first, count)
 
         rows = lax.scan(step, None, run.start + numbers * count)[1]
     return rows.reshape(-1, samples.tile, 4)
@@ -152,7 +154,7 @@ def _of_run(
         return planes_of(tile_color(run, prepared, samples, plan, index, count, single=single))
 
     steps = jnp.arange(run.start // count, run.stop // count)
-    return _mapped(step, steps, prepared, on_one_lane(prepared), samples)
+    return _mapped(step, steps, prepared, samples)
 
 
 def _of_parts_of_run(
@@ -176,30 +178,39 @@ def _of_parts_of_run(
         index, weight = (jnp.swapaxes(planes[name], 0, 1) for name in ("texel_index", "texel_weight"))
         texture = prepared.textures[run.surface.texture]
         texel = jnp.swapaxes(sampled_texture(texture, index, weight.astype(compute_dtype(samples))), 0, 1)
-    return _mapped(step, (planes, ordinary, texel), prepared, on_one_lane(prepared), samples)
+    return _mapped(step, (planes, ordinary, texel), dataclasses.replace(prepared, textures=()), samples)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _mapped(function: Callable[..., Any], parts: Any, *operands: Any) -> Any:
-    """function(part, *operands) for every part along the leading axis of `parts`; derivatives compute it anew.
+def _mapped(function: Callable[..., Any], parts: Any, prepared: Prepared, samples: SampleBuffer) -> Any:
+    """function(part, prepared, single, samples) for every part along the leading axis of `parts`; derivatives compute
+    it anew. `prepared` and `single` are the same numbers; where derivatives are taken, by `prepared` on all lanes.
 
     `function` closes over no traced value.
     """
-    return lax.map(lambda part: function(part, *operands), parts)
+    return lax.map(lambda part: function(part, prepared, prepared, samples), parts)
 
 
 def _mapped_jvp(function: Callable[..., Any], primals: Any, tangents: Any) -> Any:
+    (parts, single, samples), (changes_of_parts, change, change_of_samples) = primals, without_zeros(tangents)
+    moving, fixed = eqx.partition(single, jax.tree.map(lambda _, own: own is not None, single, change))
+    prepared, packed_change = eqx.combine(on_all_lanes(moving), fixed), spread(packed(change), single.lanes)
+
     # The function and its change in one: of a loop over the function alone JAX would take derivatives operation by
     # operation.
-    (parts, *operands), (changes_of_parts, *changes) = primals, without_zeros(tangents)
-
     @jax.checkpoint
-    def of_part(operands: tuple[Any, ...], changes: tuple[Any, ...]) -> Any:
-        return with_change(function, operands, changes)
+    def of_part(operands: tuple[Any, Prepared, Prepared, SampleBuffer], changes: tuple[Any, Packed, Any]) -> Any:
+        own, prepared, single, samples = operands
+        change_of_part, of_prepared, of_samples = changes
+
+        def at(part: Any, prepared: Prepared, samples: SampleBuffer) -> Any:
+            return function(part, prepared, single, samples)
+
+        return with_change(at, (own, prepared, samples), (change_of_part, unpacked(of_prepared, change), of_samples))
 
     def step(_: None, part: tuple[Any, Any]) -> tuple[None, Any]:
-        own, change = part
-        return None, of_part((own, *operands), (change, *changes))
+        own, change_of_part = part
+        return None, of_part((own, prepared, single, samples), (change_of_part, packed_change, change_of_samples))
 
     return lax.scan(step, None, (parts, changes_of_parts))[1]
 

@@ -83,21 +83,8 @@ def lights_in_world(
     plan: LightPlan,
     dtype: jnp.dtype,
     camera_to_world: Float[Array, "3 3"] | None,
-    lanes: int,
 ) -> WorldLights:
-    """The lights that the plan keeps, in world space, in the given float type."""
-    # Spread over lanes at the end: XLA takes long over what is computed on all of them and read on one.
-    single = _on_one_lane(lights, plan, dtype, camera_to_world)
-    spread = jax.tree.map(lambda plane: jnp.broadcast_to(plane, (*plane.shape[:-1], lanes)), single)
-    return dataclasses.replace(spread, to_local=single.to_local)
-
-
-def _on_one_lane(
-    lights: DirectionalLights | PointLights | SpotLights,
-    plan: LightPlan,
-    dtype: jnp.dtype,
-    camera_to_world: Float[Array, "3 3"] | None,
-) -> WorldLights:
+    """The lights that the plan keeps, in world space, in the given float type, on one lane."""
     keep = jnp.asarray(plan.rows, dtype=jnp.int32) if plan.rows is not None else slice(None)
 
     def field(values: Array) -> Array:
@@ -105,14 +92,14 @@ def _on_one_lane(
 
     def planes(values: Array) -> Vector:
         rows = field(values)
-        return Vector(*(on_lanes(rows[:, i], 1) for i in range(3)))
+        return Vector(*(as_plane(rows[:, i]) for i in range(3)))
 
     to_world = lights.to_world[keep].astype(dtype)
     linear = matrix_of(to_world[:, None, None, :, :3])
     turning = matrix_of(_scaled_to_one(to_world[:, None, None, :, :3]))
-    color = on_lanes(field(lights.color).T, 1)
-    intensity = on_lanes(field(lights.intensity), 1)
-    ambient = on_lanes(field(lights.ambient_intensity), 1) if plan.ambient else None
+    color = as_plane(field(lights.color).T)
+    intensity = as_plane(field(lights.intensity))
+    ambient = as_plane(field(lights.ambient_intensity)) if plan.ambient else None
 
     def world_direction(values: Array) -> Vector:
         # Normalised in its own frame first: it may be of any length, and its derivative along itself is exactly 0.
@@ -142,7 +129,7 @@ def _on_one_lane(
         coefficients = (c1, c2, c3 if plan.attenuation == "quadratic" else jnp.zeros_like(c3))
     scale = None
     if plan.frame == "similarity":
-        scale = unit(Vector(*(on_lanes(to_world[:, i, 0], 1) for i in range(3))))[1]
+        scale = unit(Vector(*(as_plane(to_world[:, i, 0]) for i in range(3))))[1]
     return WorldLights(
         color=color,
         intensity=intensity,
@@ -154,12 +141,12 @@ def _on_one_lane(
         unit_length=scale,
         attenuation=coefficients,
         # Distances are rounded: a sample at the radius is lit all the same.
-        radius=lax.stop_gradient(on_lanes(field(lights.radius), 1)) * (1 + 4 * jnp.finfo(dtype).eps)
+        radius=lax.stop_gradient(as_plane(field(lights.radius))) * (1 + 4 * jnp.finfo(dtype).eps)
         if plan.radius
         else None,
         axis=world_direction(lights.direction) if spot else None,
-        beam_width=on_lanes(field(lights.beam_width), 1) if spot else None,
-        cut_off_angle=on_lanes(field(lights.cut_off_angle), 1) if spot else None,
+        beam_width=as_plane(field(lights.beam_width)) if spot else None,
+        cut_off_angle=as_plane(field(lights.cut_off_angle)) if spot else None,
     )
 
 
@@ -169,18 +156,18 @@ def _scaled_to_one(matrices: Float[Array, "... 3 3"]) -> Float[Array, "... 3 3"]
     return matrices * reciprocal_of_power_of_two(power_of_two_above(largest))
 
 
-def fog_in_world(fog: Fog, plan: FogPlan, dtype: jnp.dtype, lanes: int) -> WorldFog:
-    """The fog in the given float type."""
+def fog_in_world(fog: Fog, plan: FogPlan, dtype: jnp.dtype) -> WorldFog:
+    """The fog in the given float type, on one lane."""
     return WorldFog(
-        on_lanes(fog.color.astype(dtype), lanes),
-        on_lanes(fog.visibility_range.astype(dtype), lanes),
+        as_plane(fog.color.astype(dtype)),
+        as_plane(fog.visibility_range.astype(dtype)),
         None if plan.identity_frame else matrix_of(fog.to_local.astype(dtype)[None, None]),
     )
 
 
-def on_lanes(value: Float[Array, "..."], lanes: int) -> Float[Array, "... 1 lanes"]:
-    """A number or colour, the same on all lanes (see WorldLights)."""
-    return jnp.broadcast_to(value[..., None, None], (*value.shape, 1, lanes))
+def as_plane(value: Float[Array, "..."]) -> Float[Array, "... 1 1"]:
+    """A number or colour as a plane (see WorldLights)."""
+    return value[..., None, None]
 
 
 def in_chunks(lights: WorldLights, chunk: int) -> WorldLights:
