@@ -112,7 +112,7 @@ def free_parameters(
         for (owner, element), number in taken.items():
             if owner == leaf:
                 source[element] = number
-        leaves.append(FreeLeaf(jnp.asarray(source), leaf))
+        leaves.append(FreeLeaf(array_of(source, np.int32), leaf))
     columns = [np.array(column) for column in (values, lower, upper, means, precisions)]
     made = []
     for request, leaf in whole:

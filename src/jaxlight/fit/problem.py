@@ -126,7 +126,7 @@ def make_problem(
         strides=_strides(scene, parameters, fields, each, dtype),
         sampling=texel_sampling(stacks, scene.surfaces, parameters.blocks),
         views=stacks,
-        every=jnp.ones((), jnp.int32),
+        every=array_of(1, jnp.int32),
         count=array_of(count, dtype),
         signal=array_of(sum(_signal(one) for one in data), dtype),
         loss_scale=array_of(1.0 if loss_scale is None else loss_scale, dtype),
@@ -210,7 +210,9 @@ def _stack(views: list[ViewData]) -> tuple[ViewData, ...]:
     for view in views:
         leaves, structure = jax.tree.flatten(view)
         groups.setdefault((structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves)), []).append(view)
-    return tuple(jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *group) for group in groups.values())
+    return tuple(
+        jax.tree.map(lambda *leaves: array_of(np.stack(leaves), leaves[0].dtype), *group) for group in groups.values()
+    )
 
 
 def _float_type(scene: Scene) -> Any:
