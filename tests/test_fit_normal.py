@@ -106,6 +106,22 @@ def problem(kind: str, dtype: Any) -> Problem:
         free = [Free(["Material[body].specular_color.g", "Material[body].shininess"], tied="all"), *FREE[1:]]
         free += ["PointLight[fill].color", "Material[body].diffuse_color"]
         free += [Free("PointLight[fill].intensity", mean=0.5, deviation=0.01)]
+    if kind == "every number of every material":
+        free = ["Material[*].*", "PointLight[*].location", "PointLight[*].intensity"]
+    if kind == "materials and ties between them":
+        # Of one material, of both, of one and a light; of one field only one material's.
+        free = [
+            Free("Material[*].diffuse_color", tied=True),
+            "Material[*].specular_color.r",
+            "Material[body].shininess",
+        ]
+        free += [Free("Material[body].emissive_color", tied="all"), Free("Material[other].emissive_color", tied="all")]
+        free += [Free(["Material[other].transparency", "PointLight[key].intensity"], tied="all")]
+    if kind == "nothing but materials":
+        free = ["Material[*].diffuse_color", "Material[*].shininess"]
+    if kind == "several samples a pixel of two materials":
+        free = ["Material[*].diffuse_color"]
+        views = [View(four_samples_a_pixel(dtype), picture, background=(0.3, 0.1, 0.6))]
     small = 40 if "many lights" in kind else 0
     if kind == "many lights":
         free = ["Material[body].*", Free("PointLight[*].intensity"), "PointLight[*].location"]
@@ -123,6 +139,8 @@ KINDS = [
     "weights and mask", "grey target + huber", "background + cauchy", "several samples a pixel over a background",
     "views of different size, one light each", "ties", "a tie of a colour and an exponent, and a prior",
     "many lights", "one of many lights", "some lights of every kind", "a light alone and sensor limits",
+    "every number of every material", "materials and ties between them", "nothing but materials + huber",
+    "several samples a pixel of two materials",
 ]  # fmt: skip
 
 
@@ -228,7 +246,8 @@ def _moved_by_stages(jaxpr: Any) -> list[tuple[int, ...]]:
     ("free", "directions"),
     [
         (FREE, [4, 2, 3, 3]),  # three colours and transparency; ambient and exponent; an attenuation; a place
-        (["Material[*].diffuse_color"], [2]),
+        (["Material[*].diffuse_color"], [1]),
+        (["Material[*].*", "PointLight[key].location"], [4, 2, 3]),
         ([Free("Material[*].diffuse_color", tied=True), "PointLight[key].color.b"], [1, 1]),
         ([Free("Material[body].diffuse_color", tied="all"), "View[0].exposure"], [2]),
         ([Free(["Material[body].specular_color.g", "Material[body].shininess"], tied="all")], [1]),
@@ -269,7 +288,7 @@ def test_settled_numbers_are_at_their_best_and_the_others_where_they_were() -> N
         values = made.parameters.start
         settled, loss = jax.jit(normal.settled)(made, values)
         at_best = jax.jit(normal.normal_equations)(made, settled)
-    colors = np.any(np.asarray(made.columns.linear().own) > 0, axis=(0, 1))
+        colors = np.any(np.asarray(made.columns.linear().channels) > 0, axis=0)
     assert colors.sum() == 9, "diffuse, specular and emissive colour"
     np.testing.assert_array_equal(np.asarray(settled)[~colors], np.asarray(values)[~colors])
     assert float(loss) == pytest.approx(float(at_best.loss), rel=1e-12)
@@ -302,4 +321,4 @@ def test_what_multiplies_each_other_is_not_settled_together(free: list[Any], tog
     with precision("float32") as dtype:
         view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE))
         columns = make_problem(scene(dtype), view, free)[0].columns.linear()
-    assert np.count_nonzero(np.any(np.asarray(columns.own) > 0, axis=(0, 1))) == together
+    assert np.count_nonzero(np.any(np.asarray(columns.channels) > 0, axis=0)) == together

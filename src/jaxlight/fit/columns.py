@@ -1,7 +1,9 @@
 """Which columns of the Jacobian are computed together: a colour's component reaches its own channel only.
 
 One derivative along red, green and blue at once holds all three columns, a channel each (Curtis, Powell and Reid's
-compression). And what a number moves passes through part of the equation only, so that directions are taken in groups:
+compression). A sample has one material, so that one derivative along a number of every material at once holds the
+columns of all, each in the samples of its own. And what a number moves passes through part of the equation only, so
+that directions are taken in groups:
 
     surfaces   colours of surfaces and fog, exposures: products with light that stays
     materials  exponents and ambient intensities of materials: factors of every light
@@ -24,16 +26,16 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..arrays import array_of
-from ..scene.paths import LIGHT_ATTRIBUTES
+from ..scene.paths import ATTRIBUTES, LIGHT_ATTRIBUTES
 from .parameters import Parameters
 
 _COLORS = ("diffuse_color", "specular_color", "emissive_color", "color")
 _PLACES = ("location", "direction")
-_VECTORS = ("color", "attenuation", *_PLACES)
-"""Fields of lights with three numbers."""
+_VECTORS = (*_COLORS, "attenuation", *_PLACES)
+"""Fields of materials and lights with three numbers."""
 _ADDED = (("materials", "emissive_color"), ("fog", "color"))
 _TOGETHER: tuple[frozenset[tuple[str, str]], ...] = (
     frozenset([("materials", "diffuse_color"), ("materials", "specular_color"), *_ADDED]),
@@ -73,20 +75,34 @@ class Group(NamedTuple):
 
 
 class Columns(eqx.Module):
-    """Directions in which a fit is differentiated, and which channel of each is a number's column."""
+    """Directions in which a fit is differentiated, and which part of each is a number's column: some channels, in the
+    samples of one material or in all."""
 
     directions: Float[Array, "directions numbers"]
     """1 where a direction moves a number."""
-    own: Float[Array, "3 directions numbers"]
-    """1 where a channel of a direction is that channel of a number's column."""
+    direction: Int[Array, " numbers"]
+    """Which direction moves a number."""
+    channels: Float[Array, "3 numbers"]
+    """1 where a channel of that direction is the number's."""
+    material: Int[Array, " numbers"]
+    """In whose samples the number's column is looked for; -1: in all."""
     groups: tuple[Group, ...] = eqx.field(static=True)
     together: int = eqx.field(static=True)
     """So many directions, the first ones, are linear together."""
+    apart: tuple[int, ...] = eqx.field(static=True)
+    """Directions that move numbers of materials apart, several at once."""
+    materials: int = eqx.field(static=True)
+    """How many materials are told apart; 0: none."""
 
     @property
     def count(self) -> int:
         """Number of directions."""
-        return self.own.shape[1]
+        return self.directions.shape[0]
+
+    @property
+    def shared(self) -> tuple[int, ...]:
+        """Directions that are not told apart by material."""
+        return tuple(row for row in range(self.count) if row not in self.apart)
 
     @property
     def lights(self) -> Rows:
@@ -107,55 +123,89 @@ class Columns(eqx.Module):
             for start, group in zip(starts, self.groups, strict=True)
             if start < few
         ]
-        return Columns(self.directions[:few], self.own[:, :few], tuple(groups), few)
+        apart = tuple(row for row in self.apart if row < few)
+        return Columns(
+            self.directions[:few],
+            jnp.minimum(self.direction, max(few - 1, 0)),
+            jnp.where(self.direction < few, self.channels, 0),
+            self.material,
+            tuple(groups),
+            few,
+            apart,
+            self.materials if apart else 0,
+        )
 
-    def gathered(self, products: Float[Array, "3 directions directions"]) -> Float[Array, "numbers numbers"]:
-        """J^T J from the products of the directions' derivatives, channel by channel."""
-        return jnp.einsum("cip,cij,cjq->pq", self.own, products, self.own, precision="highest")
-
-    def gathered_slope(self, products: Float[Array, "3 directions"]) -> Float[Array, " numbers"]:
-        """J^T r from the products of the directions' derivatives with the residuals, channel by channel."""
-        return jnp.einsum("cip,ci->p", self.own, products, precision="highest")
+    def by_number(self, products: Float[Array, "... directions"]) -> Float[Array, "... numbers"]:
+        """Of every number what there is of its direction."""
+        return _taken(products, self.direction, -1)
 
     def jacobian(self, planes: Float[Array, "3 directions samples"]) -> Float[Array, "numbers 3 samples"]:
-        """The columns, channel by channel, from the directions' derivatives."""
-        return jnp.einsum("cip,cis->pcs", self.own, planes, precision="highest")
+        """The columns, channel by channel, from the directions' derivatives; materials must not be told apart."""
+        return jnp.swapaxes(_taken(planes, self.direction, 1) * self.channels[..., None], 0, 1)
 
 
-def columns_of(parameters: Parameters, dtype: Any) -> Columns:
-    """The directions for these parameters (texels of blocks are none of them)."""
+def columns_of(parameters: Parameters, dtype: Any, *, by_material: bool) -> Columns:
+    """The directions for these parameters (texels of blocks are none of them).
+
+    `by_material`: sums over samples may be told apart by material; not where one term gathers samples of several.
+    """
     sets: list[list[tuple[Any, int]]] = [[] for _ in range(parameters.few)]
     for part in parameters.leaves:
         for element, number in enumerate(np.asarray(part.source).tolist()):
             if number >= 0:
                 sets[number].append((part.leaf, element))
+    material = np.array([_only_material(elements) for elements in sets], np.int32)
+    if not by_material or len(set(material[material >= 0].tolist())) < 2:
+        material[:] = -1
     together = _most_together(sets)
-    # Of each direction: by channel the numbers that it moves; where it comes in the order; the elements that it moves.
-    columns: dict[Any, dict[int, int]] = {}
+    # Of each direction: the numbers that it moves, with their channels; where it comes in the order; the elements.
+    columns: dict[Any, list[tuple[int, int]]] = {}
     order: dict[Any, tuple[bool, Kind]] = {}
     moved: dict[Any, set[tuple[Any, int]]] = {}
     for number, elements in enumerate(sets):
         channel = _channel(elements)
         key: Any = number if channel is None else tuple((leaf, element // 3) for leaf, element in elements)
-        columns.setdefault(key, {})[-1 if channel is None else channel] = number
+        if material[number] >= 0:
+            own = tuple((leaf, element - material[number] * _width(leaf)) for leaf, element in elements)
+            key = (channel is None, own if channel is None else tuple(leaf for leaf, _ in own))
+        columns.setdefault(key, []).append((-1 if channel is None else channel, number))
         moved.setdefault(key, set()).update(elements)
         kinds = {_kind(leaf) for leaf, _ in elements}
         order[key] = (number not in together, kinds.pop() if len(kinds) == 1 else Kind.SEVERAL)
     first = {kind for later, kind in order.values() if not later}
     # Of the others those first that are of the same kind: they are one group then.
     keys = sorted(columns, key=lambda key: (order[key][0], order[key][1] not in first, order[key][1]))
-    directions, own = np.zeros((len(keys), len(sets))), np.zeros((3, len(keys), len(sets)))
+    directions, channels = np.zeros((len(keys), len(sets))), np.zeros((3, len(sets)))
+    direction = np.zeros(len(sets), np.int32)
     for row, key in enumerate(keys):
-        for channel, number in columns[key].items():
+        for channel, number in columns[key]:
             directions[row, number] = 1
-            own[slice(None) if channel < 0 else channel, row, number] = 1
+            direction[number] = row
+            channels[slice(None) if channel < 0 else channel, number] = 1
     groups = [list(group) for _, group in groupby(keys, key=lambda key: order[key][1])]
     return Columns(
         array_of(directions, dtype),
-        array_of(own, dtype),
+        array_of(direction, jnp.int32),
+        array_of(channels, dtype),
+        array_of(material, jnp.int32),
         tuple(_group(parameters, len(group), set().union(*(moved[key] for key in group))) for group in groups),
         sum(not later for later, _ in order.values()),
+        tuple(sorted(set(direction[material >= 0].tolist()))),
+        int(material.max(initial=-1)) + 1,
     )
+
+
+def _only_material(elements: list[tuple[Any, int]]) -> int:
+    """The one material whose numbers these are; -1: there are others."""
+    if not all(leaf is not None and leaf.attribute == ATTRIBUTES["Material"] for leaf, _ in elements):
+        return -1
+    rows = {element // _width(leaf) for leaf, element in elements}
+    return rows.pop() if len(rows) == 1 else -1
+
+
+def _width(leaf: Any) -> int:
+    """Numbers of the field in each row."""
+    return 3 if leaf.field in _VECTORS else 1
 
 
 def _most_together(sets: list[list[tuple[Any, int]]]) -> set[int]:
@@ -183,7 +233,7 @@ def _group(parameters: Parameters, directions: int, elements: set[tuple[Any, int
         if leaf is None or leaf.attribute not in LIGHT_ATTRIBUTES:
             alone = False
         else:
-            rows[leaf.attribute].add(element // 3 if leaf.field in _VECTORS else element)
+            rows[leaf.attribute].add(element // _width(leaf))
     return Group(directions, leaves, tuple(tuple(sorted(rows[attribute])) for attribute in LIGHT_ATTRIBUTES), alone)
 
 
@@ -193,3 +243,8 @@ def _channel(elements: list[tuple[Any, int]]) -> int | None:
         return None
     channels = {element % 3 for _, element in elements}
     return channels.pop() if len(channels) == 1 else None
+
+
+def _taken(planes: Array, numbers: Array, axis: int) -> Array:
+    """The planes of these numbers, which are known to be in bounds."""
+    return jnp.take(planes, numbers, axis=axis, mode="clip")

@@ -23,7 +23,7 @@ from ..lighting.totals import add_terms, added_up
 from ..raster.samples import LANES
 from .columns import Columns
 from .curvature import DenseCurvature, NormalEquations
-from .moments import Moments, moments_of, zero_moments
+from .moments import Moments, add_moments, moments_of, slope_and_square, zero_moments
 from .parameters import World
 from .pixels import pixel_derivatives
 from .problem import Problem, scene_of_view
@@ -165,7 +165,7 @@ def settled_by(
     if columns.count == 0:
         return values, _loss_of(problem, values, moments)
     here, gradient, curvature = _equations(problem, values, columns, moments)
-    moves = jnp.any(columns.own > 0, axis=(0, 1))
+    moves = jnp.any(columns.channels > 0, axis=0)
     lower, upper = (jnp.where(moves, bound - values, 0) for bound in (parameters.lower, parameters.upper))
     lengths = jnp.sqrt(jnp.maximum(jnp.diagonal(curvature), 0))
     scale = jnp.where(lengths > 0, lengths, 1)
@@ -187,11 +187,11 @@ def _settling(problem: Problem) -> Columns:
 def _moments(problem: Problem, values: Array, columns: Columns, share: Share | None) -> Moments:
     def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
         if view.pixel is not None:
-            return add(carry, moments_of(problem.rho, *pixel_derivatives(problem, view, values, columns)))
+            return add(carry, moments_of(problem.rho, columns, *pixel_derivatives(problem, view, values, columns)))
         derivatives = derivatives_by_tile(problem, view, values, columns)
 
         def of_tile(carry: Any, tile: Tile) -> Any:
-            return add(carry, moments_of(problem.rho, *derivatives(tile)))
+            return add_moments(carry, columns, moments_of(problem.rho, columns, *derivatives(tile)), tile.material)
 
         return sum_over_tiles(problem, view, of_tile, carry, share)
 
@@ -199,7 +199,7 @@ def _moments(problem: Problem, values: Array, columns: Columns, share: Share | N
 
 
 def _equations(problem: Problem, values: Array, columns: Columns, moments: Moments) -> NormalEquations:
-    gradient, curvature = columns.gathered_slope(moments.slope), columns.gathered(moments.square)
+    gradient, curvature = slope_and_square(columns, moments)
     parameters = problem.parameters
     gradient = gradient + parameters.prior_precision * (values - parameters.prior_mean)
     curvature = (curvature + curvature.T) / 2 + jnp.diag(parameters.prior_precision)

@@ -122,7 +122,7 @@ def make_problem(
     problem = Problem(
         world=world,
         parameters=parameters,
-        columns=columns_of(parameters, dtype),
+        columns=columns_of(parameters, dtype, by_material=not parameters.blocks and _by_samples(data)),
         strides=_strides(scene, parameters, fields, each, dtype),
         sampling=texel_sampling(stacks, scene.surfaces, parameters.blocks),
         views=stacks,
@@ -138,6 +138,11 @@ def make_problem(
     noise_known = all(view.noise is not None for view in each)
     part = WHOLE if parameters.blocks else choose_part(data, scene.surfaces)
     return problem, Description(fields, labels, names, count, noise_known, part, scene.document)
+
+
+def _by_samples(views: list[ViewData]) -> bool:
+    """Whether every residual is of one sample; a pixel may gather samples of several materials."""
+    return all(view.pixel is None for view in views)
 
 
 def _signal(view: ViewData) -> float:

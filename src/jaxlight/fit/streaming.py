@@ -16,12 +16,13 @@ from jaxtyping import Array, Float, Int
 
 from ..lighting.one_tile import Color, tile_color
 from ..lighting.plan import Plan
-from ..lighting.prepared import Prepared, prepare
+from ..lighting.prepared import Prepared, material_number, prepare
 from ..lighting.stages import Stage
 from ..lighting.tile_inputs import Run, tile_of
 from ..lighting.tiles import Share, surface_runs
 from ..lighting.totals import Carry, add_terms, added_up
 from ..lighting.unstored import Inlined, stored
+from ..scene import Surface
 from .parameters import World
 from .part import tiles_of_part
 from .problem import Problem, scene_of_view
@@ -49,6 +50,8 @@ class Tile(NamedTuple):
     """The weighted residuals as a function of exposure and colours; where pixels gather samples, what each adds."""
     run: Run
     index: Int[Array, ""]
+    material: Int[Array, ""] | int
+    """The material of its samples, a row of the scene's; 0 where there is none."""
     view: ViewData
     size: int
     """Samples; several of the buffer's tiles may be one here."""
@@ -108,11 +111,13 @@ def sum_over_tiles(
     Not differentiable in reverse; residuals are differentiated in forward mode only.
     """
     own, shares = (0, 1) if share is None else (share.number, share.shares)
-    for run in surface_runs(problem.world.scene.surfaces, view.samples):
+    surfaces = problem.world.scene.surfaces
+    for run in surface_runs(surfaces, view.samples):
         first, count = tiles_of_part(run, problem.every)
 
         def step(number: Array, carry: Carry, run: Run = run, first: Array = first) -> Carry:
-            return of_tile(carry, _tile(view, run, first + (own + number * shares) * problem.every, forward=True))
+            index = first + (own + number * shares) * problem.every
+            return of_tile(carry, _tile(surfaces, view, run, index, forward=True))
 
         carry = jax.lax.fori_loop(0, (count - own + shares - 1) // shares, step, carry)
     return carry
@@ -132,19 +137,22 @@ def over_tiles(
     `together`: so many neighbouring tiles are one to `of_tile`; `forward`: residuals are differentiated in forward mode
     only.
     """
-    outputs = []
-    for run in surface_runs(problem.world.scene.surfaces, view.samples):
+    outputs, surfaces = [], problem.world.scene.surfaces
+    for run in surface_runs(surfaces, view.samples):
 
         def step(carry: Carry, index: Array, run: Run = run) -> tuple[Carry, Any]:
-            return of_tile(carry, _tile(view, run, index, forward, together))
+            return of_tile(carry, _tile(surfaces, view, run, index, forward, together))
 
         carry, output = jax.lax.scan(step, carry, jnp.arange(run.start // together, run.stop // together))
         outputs.append(output)
     return carry, outputs
 
 
-def _tile(view: ViewData, run: Run, index: Array, forward: bool, together: int = 1) -> Tile:
+def _tile(
+    surfaces: tuple[Surface, ...], view: ViewData, run: Run, index: Array, forward: bool, together: int = 1
+) -> Tile:
     size = view.samples.tile * together
+    material = material_number(surfaces, view.samples.tile_surface[index * together], run.single)
 
     def cut(plane: Array) -> Array:
         return cast(Array, Inlined(partial(tile_of, tile=size), (plane, index)))
@@ -165,7 +173,8 @@ def _tile(view: ViewData, run: Run, index: Array, forward: bool, together: int =
         # Derivatives in forward mode move many planes at once: they are not worth a stage of their own.
         return _residual(*stored(operands)) if forward else Stage(index >= 0).each(_residual, *operands)
 
-    return Tile(color_of, residual_of if view.pixel is None else part_of_pixel, run, index, view, size)
+    of_exposure_and_color = residual_of if view.pixel is None else part_of_pixel
+    return Tile(color_of, of_exposure_and_color, run, index, jnp.maximum(material, 0), view, size)
 
 
 def _residual(

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ..lighting.totals import add_terms, added_up
 from .columns import Columns
 from .curvature import ArrowCurvature, Neighbours, NormalEquations
-from .moments import Moments, moments_of, zero_moments
+from .moments import Moments, moments_of, slope_and_square, zero_moments
 from .parameters import TexelBlock
 from .problem import Problem
 from .residuals import reweight
@@ -41,7 +41,7 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
         def of_tile(carry: Any, tile: Tile) -> tuple[Any, Any]:
             sums, tables = carry
             residual, given = derivatives(tile)
-            sums = add_terms(sums, moments_of(problem.rho, residual, given))
+            sums = add_terms(sums, moments_of(problem.rho, columns, residual, given))
             block = block_of(tile.run, parameters.blocks)
             if block < 0:
                 return (sums, tables), None
@@ -75,7 +75,7 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
         carry, planes = jax.lax.scan(of_view, carry, stack)
         strengths.append(planes)
     moments = Moments(*added_up(carry[0]))
-    few = (jnp.sum(moments.loss), columns.gathered_slope(moments.slope), columns.gathered(moments.square))
+    few = (jnp.sum(moments.loss), *slope_and_square(columns, moments))
     cross = jnp.concatenate([_by_number(columns, table[..., :-2]) for table in carry[1]])
     texel_part = tuple(jnp.concatenate([table[..., column].reshape(-1) for table in carry[1]]) for column in (-2, -1))
     return _assembled(problem, values, few, cross, texel_part, strengths)
@@ -84,7 +84,7 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
 def _by_number(columns: Columns, products: Float[Array, "texels colors rows"]) -> Float[Array, "all numbers"]:
     """The coupling of texels to numbers: three colours are coupled to directions, a channel each; one to numbers."""
     if products.shape[1] == 3:
-        products = jnp.einsum("tci,cip->tcp", products, columns.own, precision="highest")
+        products = columns.by_number(products) * columns.channels
     texels, colors, numbers = products.shape
     return products.reshape(texels * colors, numbers)
 

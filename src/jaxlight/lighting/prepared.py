@@ -115,11 +115,16 @@ def material_row(prepared: Prepared, surface: Surface, row: Any, single: int | N
         return None
     if is_only(materials):
         return MaterialRow(*(getattr(materials, name) for name in MaterialRow._fields))
-    numbers = np.array([other.material for other in prepared.surfaces])
-    material = numbers[single] if single is not None else jnp.asarray(numbers)[row]
+    material = material_number(prepared.surfaces, row, single)
 
     def field(name: str) -> Array:
         own = getattr(materials, name)[material]
         return own if np.ndim(material) == 0 else jnp.moveaxis(own[..., 0, :], 0, -2)
 
     return MaterialRow(*map(field, MaterialRow._fields))
+
+
+def material_number(surfaces: tuple[Surface, ...], row: Any, single: int | None) -> Any:
+    """Which material a surface row has, or several rows have (-1: none); of a known row known too."""
+    numbers = np.array([surface.material for surface in surfaces], np.int32)
+    return numbers[single] if single is not None else jnp.asarray(numbers)[row]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from ..raster.samples import LANES
@@ -20,6 +21,15 @@ def add_terms(carry: Carry, terms: tuple[Array, ...]) -> Carry:
     totals, lost = zip(*map(_two_sum, sums, terms), strict=True)
     both = at_once([*totals, *(error + own for error, own in zip(errors, lost, strict=True))])
     return tuple(both[: len(sums)]), tuple(both[len(sums) :])
+
+
+def add_terms_in_row(carry: Carry, terms: tuple[Array, ...], row: Array | int) -> Carry:
+    """`add_terms` where the last sum is a table, to this row of which the last term is added."""
+    here = tuple((*own[:-1], lax.dynamic_index_in_dim(own[-1], row, keepdims=False)) for own in carry)
+    return tuple(
+        (*own[:-1], lax.dynamic_update_index_in_dim(old[-1], own[-1], row, 0))
+        for old, own in zip(carry, add_terms(here, terms), strict=True)
+    )
 
 
 def added_up(carry: Carry) -> tuple[Array, ...]:
