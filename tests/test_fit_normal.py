@@ -122,6 +122,17 @@ def problem(kind: str, dtype: Any) -> Problem:
     if kind == "several samples a pixel of two materials":
         free = ["Material[*].diffuse_color"]
         views = [View(four_samples_a_pixel(dtype), picture, background=(0.3, 0.1, 0.6))]
+    if kind.startswith("a light of its own in each view"):
+        views = [
+            View(samples, picture, lights=["PointLight[key]"]),
+            View(sphere_samples(SIZE // 2, dtype=dtype), sphere_picture(SIZE // 2), lights=["PointLight[fill]"]),
+            View(samples, picture / 2, lights=["SpotLight[left]", "SpotLight[right]"], exposure=0.5),
+        ]
+        free = ["Material[*].diffuse_color", "PointLight[*].*", "SpotLight[*].location", "SpotLight[left].color"]
+        free += ["View[*].exposure", "DirectionalLight[east].intensity"]
+    if kind == "exposures of pixels of several samples":
+        views = [View(four_samples_a_pixel(dtype), factor * picture, background=(0.3, 0.1, 0.6)) for factor in (1, 0.5)]
+        free = ["Material[*].diffuse_color", "View[*].exposure"]
     small = 40 if "many lights" in kind else 0
     if kind == "many lights":
         free = ["Material[body].*", Free("PointLight[*].intensity"), "PointLight[*].location"]
@@ -140,7 +151,8 @@ KINDS = [
     "views of different size, one light each", "ties", "a tie of a colour and an exponent, and a prior",
     "many lights", "one of many lights", "some lights of every kind", "a light alone and sensor limits",
     "every number of every material", "materials and ties between them", "nothing but materials + huber",
-    "several samples a pixel of two materials",
+    "several samples a pixel of two materials", "a light of its own in each view of every kind",
+    "exposures of pixels of several samples",
 ]  # fmt: skip
 
 
@@ -259,6 +271,15 @@ def test_a_colour_s_components_share_one_derivative(free: list[Any], directions:
         view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE))
         columns = make_problem(scene(dtype), view, free)[0].columns
     assert [group.directions for group in columns.groups] == directions
+
+
+def test_what_is_of_one_view_shares_derivatives_with_what_is_of_another() -> None:
+    made = problem("a light of its own in each view of every kind", jnp.float32)
+    strengths = 1 + 1 + 3  # of the light that shone in no view, of the left spot, of the points together
+    surfaces = 1 + 1  # colours of both materials, exposures of all views
+    reach = 3 + 1  # attenuation and radius of the points
+    places = 3 + 2 * 3  # of the points together, of two spots in one view
+    assert [group.directions for group in made.columns.groups] == [strengths, surfaces, reach, places]
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,10 @@
 """Which columns of the Jacobian are computed together: a colour's component reaches its own channel only.
 
 One derivative along red, green and blue at once holds all three columns, a channel each (Curtis, Powell and Reid's
-compression). A sample has one material, so that one derivative along a number of every material at once holds the
-columns of all, each in the samples of its own. And what a number moves passes through part of the equation only, so
-that directions are taken in groups:
+compression). A sample has one material and is of one view, so that one derivative along a number of every material at
+once, or along the exposures of all views, or numbers of lights that shone in one view each, holds the columns of all,
+each in its own samples. And what a number moves passes through part of the equation only, so that directions are taken
+in groups:
 
     surfaces   colours of surfaces and fog, exposures: products with light that stays
     materials  exponents and ambient intensities of materials: factors of every light
@@ -19,6 +20,7 @@ exposures, but no two of these, since they multiply each other.
 
 from __future__ import annotations
 
+import dataclasses
 from enum import IntEnum
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -44,6 +46,10 @@ _TOGETHER: tuple[frozenset[tuple[str, str]], ...] = (
     frozenset([("views", "exposure")]),
 )
 """Fields in which the equation is linear as long as all others are fixed."""
+
+
+OnlyView = dict[str, Int[np.ndarray, " lights"]]
+"""By where a Scene keeps the lights of a kind: the only view in which each of them shone; -1: in several, or none."""
 
 
 class Kind(IntEnum):
@@ -75,8 +81,8 @@ class Group(NamedTuple):
 
 
 class Columns(eqx.Module):
-    """Directions in which a fit is differentiated, and which part of each is a number's column: some channels, in the
-    samples of one material or in all."""
+    """Directions in which a fit is differentiated, and which part of each is a number's column: some channels, in all
+    samples or in those of one material or view."""
 
     directions: Float[Array, "directions numbers"]
     """1 where a direction moves a number."""
@@ -85,14 +91,18 @@ class Columns(eqx.Module):
     channels: Float[Array, "3 numbers"]
     """1 where a channel of that direction is the number's."""
     material: Int[Array, " numbers"]
-    """In whose samples the number's column is looked for; -1: in all."""
+    """The material in whose samples the number's column is looked for; -1: in all."""
+    view: Int[Array, " numbers"]
+    """The view in whose samples it is; -1: in all."""
     groups: tuple[Group, ...] = eqx.field(static=True)
     together: int = eqx.field(static=True)
     """So many directions, the first ones, are linear together."""
     apart: tuple[int, ...] = eqx.field(static=True)
-    """Directions that move numbers of materials apart, several at once."""
+    """Directions that move numbers of several materials, which are told apart."""
     materials: int = eqx.field(static=True)
     """How many materials are told apart; 0: none."""
+    by_view: bool = eqx.field(static=True)
+    """Whether views are told apart."""
 
     @property
     def count(self) -> int:
@@ -124,15 +134,22 @@ class Columns(eqx.Module):
             if start < few
         ]
         apart = tuple(row for row in self.apart if row < few)
-        return Columns(
-            self.directions[:few],
-            jnp.minimum(self.direction, max(few - 1, 0)),
-            jnp.where(self.direction < few, self.channels, 0),
-            self.material,
-            tuple(groups),
-            few,
-            apart,
-            self.materials if apart else 0,
+        return dataclasses.replace(
+            self,
+            directions=self.directions[:few],
+            direction=jnp.minimum(self.direction, max(few - 1, 0)),
+            channels=jnp.where(self.direction < few, self.channels, 0),
+            groups=tuple(groups),
+            together=few,
+            apart=apart,
+            materials=self.materials if apart else 0,
+            by_view=self.by_view and few > 0,
+        )
+
+    def of_view(self, row: Int[Array, ""]) -> Columns:
+        """Without columns that are looked for in other views."""
+        return dataclasses.replace(
+            self, channels=jnp.where((self.view < 0) | (self.view == row), self.channels, 0), by_view=False
         )
 
     def by_number(self, products: Float[Array, "... directions"]) -> Float[Array, "... numbers"]:
@@ -140,23 +157,25 @@ class Columns(eqx.Module):
         return _taken(products, self.direction, -1)
 
     def jacobian(self, planes: Float[Array, "3 directions samples"]) -> Float[Array, "numbers 3 samples"]:
-        """The columns, channel by channel, from the directions' derivatives; materials must not be told apart."""
+        """The columns, channel by channel, from the directions' derivatives, where nothing is told apart."""
         return jnp.swapaxes(_taken(planes, self.direction, 1) * self.channels[..., None], 0, 1)
 
 
-def columns_of(parameters: Parameters, dtype: Any, *, by_material: bool) -> Columns:
+def columns_of(parameters: Parameters, dtype: Any, only_view: OnlyView, *, by_material: bool, by_view: bool) -> Columns:
     """The directions for these parameters (texels of blocks are none of them).
 
-    `by_material`: sums over samples may be told apart by material; not where one term gathers samples of several.
+    `by_material`, `by_view`: sums over samples may be told apart so; not by material where a residual gathers samples
+    of several.
     """
     sets: list[list[tuple[Any, int]]] = [[] for _ in range(parameters.few)]
     for part in parameters.leaves:
         for element, number in enumerate(np.asarray(part.source).tolist()):
             if number >= 0:
                 sets[number].append((part.leaf, element))
-    material = np.array([_only_material(elements) for elements in sets], np.int32)
-    if not by_material or len(set(material[material >= 0].tolist())) < 2:
-        material[:] = -1
+    owners = np.array([_owner(elements, only_view) for elements in sets], np.int32).reshape(-1, 2)
+    for own, told_apart in zip(owners.T, (by_material, by_view), strict=True):
+        if not told_apart or len(set(own[own >= 0].tolist())) < 2:
+            own[:] = -1
     together = _most_together(sets)
     # Of each direction: the numbers that it moves, with their channels; where it comes in the order; the elements.
     columns: dict[Any, list[tuple[int, int]]] = {}
@@ -164,10 +183,9 @@ def columns_of(parameters: Parameters, dtype: Any, *, by_material: bool) -> Colu
     moved: dict[Any, set[tuple[Any, int]]] = {}
     for number, elements in enumerate(sets):
         channel = _channel(elements)
-        key: Any = number if channel is None else tuple((leaf, element // 3) for leaf, element in elements)
-        if material[number] >= 0:
-            own = tuple((leaf, element - material[number] * _width(leaf)) for leaf, element in elements)
-            key = (channel is None, own if channel is None else tuple(leaf for leaf, _ in own))
+        owned = (owners[number] >= 0).tolist()
+        places = [(leaf, _place(leaf, element, only_view) if any(owned) else element) for leaf, element in elements]
+        key = (*owned, channel is None, *((leaf, place if channel is None else place // 3) for leaf, place in places))
         columns.setdefault(key, []).append((-1 if channel is None else channel, number))
         moved.setdefault(key, set()).update(elements)
         kinds = {_kind(leaf) for leaf, _ in elements}
@@ -184,23 +202,43 @@ def columns_of(parameters: Parameters, dtype: Any, *, by_material: bool) -> Colu
             channels[slice(None) if channel < 0 else channel, number] = 1
     groups = [list(group) for _, group in groupby(keys, key=lambda key: order[key][1])]
     return Columns(
-        array_of(directions, dtype),
-        array_of(direction, jnp.int32),
-        array_of(channels, dtype),
-        array_of(material, jnp.int32),
-        tuple(_group(parameters, len(group), set().union(*(moved[key] for key in group))) for group in groups),
-        sum(not later for later, _ in order.values()),
-        tuple(sorted(set(direction[material >= 0].tolist()))),
-        int(material.max(initial=-1)) + 1,
+        directions=array_of(directions, dtype),
+        direction=array_of(direction, jnp.int32),
+        channels=array_of(channels, dtype),
+        material=array_of(owners[:, 0], jnp.int32),
+        view=array_of(owners[:, 1], jnp.int32),
+        groups=tuple(_group(parameters, len(group), set().union(*(moved[key] for key in group))) for group in groups),
+        together=sum(not later for later, _ in order.values()),
+        apart=tuple(sorted(set(direction[owners[:, 0] >= 0].tolist()))),
+        materials=int(owners[:, 0].max(initial=-1)) + 1,
+        by_view=bool(np.any(owners[:, 1] >= 0)),
     )
 
 
-def _only_material(elements: list[tuple[Any, int]]) -> int:
-    """The one material whose numbers these are; -1: there are others."""
-    if not all(leaf is not None and leaf.attribute == ATTRIBUTES["Material"] for leaf, _ in elements):
-        return -1
-    rows = {element // _width(leaf) for leaf, element in elements}
-    return rows.pop() if len(rows) == 1 else -1
+def _owner(elements: list[tuple[Any, int]], only_view: OnlyView) -> tuple[int, int]:
+    """The only material or the only view in whose samples these are seen; -1: no such."""
+    owners = set()
+    for leaf, element in elements:
+        if leaf is None:
+            owners.add((-1, element))
+        elif leaf.attribute == ATTRIBUTES["Material"]:
+            owners.add((element // _width(leaf), -1))
+        elif leaf.attribute in LIGHT_ATTRIBUTES:
+            owners.add((-1, int(only_view[leaf.attribute][element // _width(leaf)])))
+        else:
+            owners.add((-1, -1))
+    return owners.pop() if len(owners) == 1 else (-1, -1)
+
+
+def _place(leaf: Any, element: int, only_view: OnlyView) -> int:
+    """Of a number that is seen in the samples of one material or view only: which of these it is in its leaf."""
+    if leaf is None:
+        return 0
+    row, component = divmod(element, _width(leaf))
+    if leaf.attribute in LIGHT_ATTRIBUTES:
+        view = only_view[leaf.attribute]
+        return int(np.count_nonzero(view[:row] == view[row])) * _width(leaf) + component
+    return component
 
 
 def _width(leaf: Any) -> int:

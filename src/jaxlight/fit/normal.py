@@ -23,7 +23,7 @@ from ..lighting.totals import add_terms, added_up
 from ..raster.samples import LANES
 from .columns import Columns
 from .curvature import DenseCurvature, NormalEquations
-from .moments import Moments, add_moments, moments_of, slope_and_square, zero_moments
+from .moments import Moments, Products, add_products, moments_of, products_of, zero_moments, zero_products
 from .parameters import World
 from .pixels import pixel_derivatives
 from .problem import Problem, scene_of_view
@@ -138,7 +138,7 @@ def model_moments(problem: Problem, values: Float[Array, " parameters"], share: 
 
 def equations_of(problem: Problem, values: Float[Array, " parameters"], moments: Moments) -> NormalEquations:
     """The normal equations at these values from their moments, priors included."""
-    return _equations(problem, values, problem.columns, moments)
+    return _equations(problem, values, moments)
 
 
 def settled(
@@ -164,7 +164,7 @@ def settled_by(
     columns, parameters = _settling(problem), problem.parameters
     if columns.count == 0:
         return values, _loss_of(problem, values, moments)
-    here, gradient, curvature = _equations(problem, values, columns, moments)
+    here, gradient, curvature = _equations(problem, values, moments)
     moves = jnp.any(columns.channels > 0, axis=0)
     lower, upper = (jnp.where(moves, bound - values, 0) for bound in (parameters.lower, parameters.upper))
     lengths = jnp.sqrt(jnp.maximum(jnp.diagonal(curvature), 0))
@@ -185,24 +185,33 @@ def _settling(problem: Problem) -> Columns:
 
 
 def _moments(problem: Problem, values: Array, columns: Columns, share: Share | None) -> Moments:
-    def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
+    def products_added(carry: Any, view: ViewData) -> Any:
         if view.pixel is not None:
-            return add(carry, moments_of(problem.rho, columns, *pixel_derivatives(problem, view, values, columns)))
+            return add_terms(
+                carry, products_of(problem.rho, columns, *pixel_derivatives(problem, view, values, columns))
+            )
         derivatives = derivatives_by_tile(problem, view, values, columns)
 
         def of_tile(carry: Any, tile: Tile) -> Any:
-            return add_moments(carry, columns, moments_of(problem.rho, columns, *derivatives(tile)), tile.material)
+            return add_products(carry, columns, products_of(problem.rho, columns, *derivatives(tile)), tile.material)
 
         return sum_over_tiles(problem, view, of_tile, carry, share)
 
-    return Moments(*over_views(problem, of_view, tuple(zero_moments(columns, values.dtype))))
+    def view_added(view: ViewData, add: Adder, carry: Any) -> Any:
+        products = added_up(products_added((zeros, jax.tree.map(jnp.zeros_like, zeros)), view))
+        return add(carry, moments_of(columns.of_view(view.row), Products(*products)))
+
+    zeros = tuple(zero_products(columns, values.dtype))
+    if columns.by_view:
+        return Moments(*over_views(problem, view_added, tuple(zero_moments(columns, values.dtype))))
+    products = over_views(problem, lambda view, _, carry: products_added(carry, view), zeros)
+    return moments_of(columns, Products(*products))
 
 
-def _equations(problem: Problem, values: Array, columns: Columns, moments: Moments) -> NormalEquations:
-    gradient, curvature = slope_and_square(columns, moments)
+def _equations(problem: Problem, values: Array, moments: Moments) -> NormalEquations:
     parameters = problem.parameters
-    gradient = gradient + parameters.prior_precision * (values - parameters.prior_mean)
-    curvature = (curvature + curvature.T) / 2 + jnp.diag(parameters.prior_precision)
+    gradient = moments.slope + parameters.prior_precision * (values - parameters.prior_mean)
+    curvature = (moments.square + moments.square.T) / 2 + jnp.diag(parameters.prior_precision)
     return NormalEquations(_loss_of(problem, values, moments), gradient, curvature)
 
 

@@ -20,7 +20,7 @@ from ..scene.fields import positive
 from ..scene.flags import Flags
 from ..scene.paths import LIGHT_ATTRIBUTES, Leaf
 from ..scene.scene import Scene
-from .columns import Columns, columns_of
+from .columns import Columns, OnlyView, columns_of
 from .free import free_parameters
 from .parameters import FreeField, Parameters, World
 from .part import WHOLE, Part, choose_part
@@ -122,7 +122,7 @@ def make_problem(
     problem = Problem(
         world=world,
         parameters=parameters,
-        columns=columns_of(parameters, dtype, by_material=not parameters.blocks and _by_samples(data)),
+        columns=_columns(scene, parameters, data, dtype),
         strides=_strides(scene, parameters, fields, each, dtype),
         sampling=texel_sampling(stacks, scene.surfaces, parameters.blocks),
         views=stacks,
@@ -140,9 +140,25 @@ def make_problem(
     return problem, Description(fields, labels, names, count, noise_known, part, scene.document)
 
 
-def _by_samples(views: list[ViewData]) -> bool:
-    """Whether every residual is of one sample; a pixel may gather samples of several materials."""
-    return all(view.pixel is None for view in views)
+def _columns(scene: Scene, parameters: Parameters, views: list[ViewData], dtype: Any) -> Columns:
+    """The directions; texels are coupled to numbers of any view and material, and so may be a pixel of several samples
+    to those of several materials."""
+    by_view = not parameters.blocks
+    by_material = by_view and all(view.pixel is None for view in views)
+    return columns_of(parameters, dtype, _only_view(scene, views), by_material=by_material, by_view=by_view)
+
+
+def _only_view(scene: Scene, views: list[ViewData]) -> OnlyView:
+    """Of every light the only view in which it shone."""
+    found = {}
+    for kind, attribute in enumerate(LIGHT_ATTRIBUTES):
+        lights = getattr(scene, attribute)
+        shone = np.zeros((len(views), 0 if lights is None else len(lights.names)), bool)
+        for row, view in zip(shone, views, strict=True):
+            chosen = view.lights[kind]
+            row[slice(None) if chosen is None else np.asarray(chosen)] = True
+        found[attribute] = np.where(shone.sum(axis=0) == 1, shone.argmax(axis=0), -1)
+    return found
 
 
 def _signal(view: ViewData) -> float:

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ..lighting.totals import add_terms, added_up
 from .columns import Columns
 from .curvature import ArrowCurvature, Neighbours, NormalEquations
-from .moments import Moments, moments_of, slope_and_square, zero_moments
+from .moments import Products, moments_of, products_of, zero_products
 from .parameters import TexelBlock
 from .problem import Problem
 from .residuals import reweight
@@ -41,7 +41,7 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
         def of_tile(carry: Any, tile: Tile) -> tuple[Any, Any]:
             sums, tables = carry
             residual, given = derivatives(tile)
-            sums = add_terms(sums, moments_of(problem.rho, columns, residual, given))
+            sums = add_terms(sums, products_of(problem.rho, columns, residual, given))
             block = block_of(tile.run, parameters.blocks)
             if block < 0:
                 return (sums, tables), None
@@ -64,7 +64,7 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
         planes = [None if s is None else jnp.moveaxis(s, 1, 0).reshape(s.shape[1], -1) for s in strengths]
         return carry, planes
 
-    zeros = zero_moments(columns, dtype)
+    zeros = zero_products(columns, dtype)
     tables = [
         jnp.zeros((height * width, colors, (columns.count if colors == 3 else parameters.few) + 2), dtype)
         for height, width, colors in (block.shape for block in parameters.blocks)
@@ -74,8 +74,8 @@ def texel_equations(problem: Problem, values: Float[Array, " parameters"]) -> No
     for stack in problem.views:
         carry, planes = jax.lax.scan(of_view, carry, stack)
         strengths.append(planes)
-    moments = Moments(*added_up(carry[0]))
-    few = (jnp.sum(moments.loss), *slope_and_square(columns, moments))
+    moments = moments_of(columns, Products(*added_up(carry[0])))
+    few = (jnp.sum(moments.loss), moments.slope, moments.square)
     cross = jnp.concatenate([_by_number(columns, table[..., :-2]) for table in carry[1]])
     texel_part = tuple(jnp.concatenate([table[..., column].reshape(-1) for table in carry[1]]) for column in (-2, -1))
     return _assembled(problem, values, few, cross, texel_part, strengths)
