@@ -48,11 +48,12 @@ def test_planes_come_out_of_the_array_as_they_went_in(materials: int) -> None:
     packed = lanes.packed(prepared)
     assert packed.rows is not None and packed.rows.shape[1] == 1
     assert packed.others.lights[2] is not None and packed.others.lights[2].to_local is not None
-    # Of several materials a tile reads one: they are not added up for every tile.
+    # Of several materials a tile spreads its own.
     assert (packed.others.materials.diffuse_color is None) == (materials == 1)
     assert all(map(np.array_equal, *map(jax.tree.leaves, (lanes.unpacked(packed, prepared), prepared))))
     wide = lanes.unpacked(lanes.spread(packed, prepared.lanes), prepared)
     assert prepared.lanes > 1 and wide.fog.color.shape == (3, 1, prepared.lanes)
+    assert wide.materials.shininess.shape == ((1, prepared.lanes) if materials == 1 else (materials, 1, 1))
     assert all(map(np.array_equal, *map(jax.tree.leaves, (wide, lanes.on_all_lanes(prepared)))))
 
 

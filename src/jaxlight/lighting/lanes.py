@@ -26,7 +26,7 @@ class Packed(NamedTuple):
     """Planes of `Prepared`, or of those leaves of it that move."""
 
     rows: Float[Array, "numbers lanes"] | None
-    """Of lights, fog and the only material; None: of these nothing moves."""
+    """Of what is spread over lanes: lights, fog and the only material; None: of these nothing moves."""
     others: Prepared
     """None where a plane is among the rows."""
 
@@ -50,7 +50,7 @@ def on_fewer_lanes(slope: Prepared) -> Prepared:
 
 def packed(planes: Prepared) -> Packed:
     """The planes, put together."""
-    own, others = eqx.partition(planes, _is_packed(planes))
+    own, others = eqx.partition(planes, _is_spread(planes))
     rows = [plane.reshape(-1, plane.shape[-1]) for plane in jax.tree.leaves(own)]
     return Packed(jnp.concatenate(rows) if rows else None, others)
 
@@ -75,7 +75,7 @@ def unpacked(planes: Packed, like: Prepared) -> Prepared:
     """The planes that `packed` put together, those of `like` on any number of lanes."""
     if planes.rows is None:
         return planes.others
-    leaves, tree = jax.tree.flatten(eqx.filter(like, _is_packed(like)))
+    leaves, tree = jax.tree.flatten(eqx.filter(like, _is_spread(like)))
     shapes = [plane.shape[:-1] for plane in leaves]
     parts = lax.split(planes.rows, [int(np.prod(shape)) for shape in shapes])
     own = [part.reshape(*shape, -1) for part, shape in zip(parts, shapes, strict=True)]
@@ -89,17 +89,9 @@ def _with_spread(prepared: Prepared, function: Any) -> Prepared:
     )
 
 
-def _is_packed(prepared: Prepared) -> Prepared:
-    """Which of the planes on lanes are put together: not those of several materials, of which a tile reads one."""
-    which = _is_spread(prepared)
-    if prepared.materials is None or is_only(prepared.materials):
-        return which
-    return dataclasses.replace(which, materials=jax.tree.map(lambda _: False, which.materials))
-
-
 def _is_spread(prepared: Prepared) -> Prepared:
-    """Which planes are: numbers of materials, of fog and of lights that are not culled, but no frames, whose
-    derivatives are too many to be kept lane by lane."""
+    """Which planes are: numbers of the only material, of fog and of lights that are not culled. Of several materials a
+    tile spreads its own, and of frames derivatives are too many to be kept lane by lane."""
 
     def all_of(part: Any) -> Any:
         return jax.tree.map(lambda _: True, part)
@@ -112,9 +104,10 @@ def _is_spread(prepared: Prepared) -> Prepared:
             return dataclasses.replace(all_of(part), to_local=none_of(part.to_local))
         return none_of(part)
 
+    materials = prepared.materials
     return dataclasses.replace(
         none_of(prepared),
-        materials=all_of(prepared.materials),
+        materials=all_of(materials) if materials is None or is_only(materials) else none_of(materials),
         lights=tuple(map(but_frame, prepared.lights)),
         fog=but_frame(prepared.fog),
     )

@@ -59,6 +59,9 @@ class SampleLoops(Stage):
     def in_planes(self) -> Stage:
         return Stage(self.always, ordinary=self.ordinary)
 
+    def on_lanes(self, numbers: Any, lanes: int) -> Any:
+        return numbers
+
     def lights_at_once(self, lights: int, samples: int) -> int:
         return UNROLLED
 

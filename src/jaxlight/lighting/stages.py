@@ -24,6 +24,7 @@ from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array, Bool, Int
 
 from ..processor import for_cpu, sizes
+from . import own_sums
 from .at_once import at_once
 from .clusters import Arrangement, InLanes
 from .running_sum import running_sum
@@ -59,6 +60,13 @@ class Stage(eqx.Module):
     def in_planes(self) -> Stage:
         """For what is kept as planes."""
         return self
+
+    def on_lanes(self, numbers: Any, lanes: int) -> Any:
+        """Numbers of a tile, on one lane each, as they are differentiated by: in reverse mode on all lanes, so that
+        derivatives add up lane by lane first."""
+        if self.forward:
+            return numbers
+        return jax.tree.map(lambda plane: own_sums.spread(plane, (*plane.shape[:-1], lanes)), numbers)
 
     def unreached(self) -> Bool[Array, ""]:
         """A value for branches that are never taken.

@@ -22,7 +22,7 @@ from .culling import Bounds, Extent, Found, by_length, find_near
 from .geometry import Unread
 from .ordinary import for_all_mapped
 from .plan import Plan
-from .prepared import Prepared, compute_dtype, material_row, viewer_of
+from .prepared import Prepared, compute_dtype, is_only, material_row, viewer_of
 from .stages import Stage
 from .surface import MaterialRow, sampled_texture
 from .unstored import Inlined
@@ -106,6 +106,8 @@ def read_tile(
         if blocks > 1:
             row = lax.dynamic_slice_in_dim(samples.tile_surface, first, count)[:: samples.group]
     material = material_row(prepared, surface, row, how.run.single)
+    if prepared.materials is not None and not is_only(prepared.materials):
+        material = stage.on_lanes(material, prepared.lanes)
     lit = material is not None and surface.lighting == "lit"
     in_scope = tuple(None if scope is None else scope[row] for scope in prepared.scopes)
     all_lights = prepared.lights if lit else (None,) * 3
