@@ -1,4 +1,4 @@
-"""How cost grows with samples, lights, free parameters and views: `python -m benchmarks.scaling --help`."""
+"""How cost grows with samples, lights, free parameters, materials and views: `python -m benchmarks.scaling --help`."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _LIGHTS = 18
 """Lights of the scene of which more and more fields are freed: 11 numbers of the material and 11 of each light."""
 _BEND = 1.3
 """Growth of the cost of one more unit, from one row to the next, that is called out as not linear."""
-Axis = Literal["samples", "lights", "parameters", "views"]
+Axis = Literal["samples", "lights", "parameters", "materials", "views"]
 
 
 @dataclasses.dataclass
 class Options(Settings):
-    """Time against samples, lights, free parameters and views, with the places where it is not linear."""
+    """Time against samples, lights, free parameters, materials and views, with the places where it is not linear."""
 
-    axes: tuple[Axis, ...] = ("samples", "lights", "parameters", "views")
+    axes: tuple[Axis, ...] = ("samples", "lights", "parameters", "materials", "views")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,6 +61,7 @@ def sweeps(quick: bool) -> list[Sweep]:
     samples = [10**4, 10**5] if quick else [10**4, 31_623, 10**5, 316_228, 10**6, 3_162_278, 10**7]
     lights = [1, 10] if quick else [1, 3, 10, 32, 100, 316, 1000, 3162, 10_000]
     freed = [-1, 0, 1] if quick else [-1, 0, 1, 2, 4, 8, 17]
+    materials = [1, 2] if quick else [1, 3, 10, 32, 100]
     views = [1, 2] if quick else [1, 2, 4, 8, 16]
     forward: Operation = "forward"
     gradient: Operation = "value_and_gradient"
@@ -87,9 +88,22 @@ def sweeps(quick: bool) -> list[Sweep]:
         for k in freed
     ]
     result.append(Sweep("parameters", f"J^T J against free parameters ({_LIGHTS} lights)", tuple(by_parameters), False))
+    many = Workload(2**13 if quick else 2**18, sample_color=False)
+    titles: dict[Operation, str] = {
+        "normal_equations": "J^T J of all materials, 11 numbers each,",
+        gradient: "value and gradient tile by tile, of all materials and lights,",
+    }
+    for operation, title in titles.items():
+        no_lights = {"free_lights": 0} if operation == "normal_equations" else {}
+        by_materials = [(float(m), Case(_fit_entrant(**no_lights, materials=m), operation, many)) for m in materials]
+        result.append(Sweep("materials", f"{title} against materials (8 lights)", tuple(by_materials), False))
     one_light = Workload(2**13 if quick else 2**16, 1, sample_color=False)
     by_views = [(float(v), Case(_fit_entrant(views=v), "normal_equations", one_light)) for v in views]
     result.append(Sweep("views", "J^T J of 22 parameters against views", tuple(by_views), False))
+    with_exposures = [
+        (float(v), Case(_fit_entrant(views=v, exposures=True), "normal_equations", one_light)) for v in views
+    ]
+    result.append(Sweep("views", "J^T J of 22 parameters and the views' exposures", tuple(with_exposures), False))
     return result
 
 
@@ -117,7 +131,11 @@ def main() -> int:
     print(text)
     save(options.output, "scaling", text, [dataclasses.asdict(metric) for metric in metrics], everything)
     plots.lines(
-        options.output / "scaling.png", series, x="samples / lights / parameters / views", y="ms", title="Scaling"
+        options.output / "scaling.png",
+        series,
+        x="samples / lights / parameters / materials / views",
+        y="ms",
+        title="Scaling",
     )
     return run_gate(metrics, options) or own_failures(everything)
 
@@ -164,11 +182,14 @@ def _metrics(measurements: Sequence[Measurement]) -> list[Metric]:
     """Unit cost at the far end of each sweep over the best on the way: 1 where growth is linear."""
     metrics = []
     for sweep in sweeps(False):
-        if not sweep.normalise:
-            continue
         cases = [case for _, case in sweep.cases]
         found = [m for m in measurements if m.case in cases and m.skipped is None]
-        if len(found) == len(cases):
+        if len(found) < len(cases):
+            continue
+        if sweep.axis == "materials":
+            ratio = found[-1].seconds / found[0].seconds
+            metrics.append(Metric(f"scaling/{sweep.name}/many over one", ratio, "lower", 0.3))
+        if sweep.normalise:
             ratio = found[-1].nanoseconds / min(m.nanoseconds for m in found)
             metrics.append(Metric(f"scaling/{sweep.name}/last over best", ratio, "lower", 0.3))
             memory = max(m.memory_ratio for m in found if m.case.work.samples >= 10**5)

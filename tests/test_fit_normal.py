@@ -133,6 +133,11 @@ def problem(kind: str, dtype: Any) -> Problem:
     if kind == "exposures of pixels of several samples":
         views = [View(four_samples_a_pixel(dtype), factor * picture, background=(0.3, 0.1, 0.6)) for factor in (1, 0.5)]
         free = ["Material[*].diffuse_color", "View[*].exposure"]
+    if kind == "every light of every kind, one by one":
+        free = ["PointLight[*].*", "SpotLight[*].*", "DirectionalLight[*].*", "Material[*].shininess"]
+    if kind == "lights in another order in a view":
+        free = ["PointLight[*].location", "PointLight[*].color"]
+        views = [plain, View(samples, picture, lights=["PointLight[fill]", "PointLight[key]"])]
     small = 40 if "many lights" in kind else 0
     if kind == "many lights":
         free = ["Material[body].*", Free("PointLight[*].intensity"), "PointLight[*].location"]
@@ -152,7 +157,8 @@ KINDS = [
     "many lights", "one of many lights", "some lights of every kind", "a light alone and sensor limits",
     "every number of every material", "materials and ties between them", "nothing but materials + huber",
     "several samples a pixel of two materials", "a light of its own in each view of every kind",
-    "exposures of pixels of several samples",
+    "exposures of pixels of several samples", "every light of every kind, one by one",
+    "lights in another order in a view",
 ]  # fmt: skip
 
 
@@ -231,16 +237,17 @@ def test_the_gradient_is_the_derivative_of_the_loss() -> None:
         np.testing.assert_allclose(found, by_reverse, rtol=0, atol=1e-10 * np.abs(by_reverse).max())
 
 
-def test_in_forward_mode_numbers_of_lights_move_as_numbers() -> None:
+def test_in_forward_mode_numbers_of_lights_move_as_numbers_one_light_at_a_time() -> None:
     """For sums over samples in reverse mode they are spread over lanes and planes, [lights, rows, lanes]."""
     with precision("float64") as dtype:
         samples = sphere_samples(SIZE, dtype=dtype, tile=256)
         made, _ = make_problem(scene(dtype), [View(samples, sphere_picture(SIZE))], ["PointLight[*].intensity"])
         program = jax.make_jaxpr(normal.normal_equations)(made, made.parameters.start)
     moved = _moved_by_stages(program.jaxpr)
-    directions, lights, lanes = 2, 2, 64
-    assert (directions, lights, 1, 1) in moved
-    assert not {(directions, lights, rows, lanes) for rows in (1, 256 // lanes)} & set(moved)
+    lights, directions, of_light, rows, lanes = 2, 1, 1, 256 // 64, 64
+    assert (lights, directions, of_light, 1, 1) in moved
+    assert not {shape for shape in moved if shape[-3:] in [(of_light, 1, lanes), (of_light, rows, lanes)]}
+    assert max(shape[0] * shape[1] for shape in moved) == lights * directions
 
 
 def _moved_by_stages(jaxpr: Any) -> list[tuple[int, ...]]:

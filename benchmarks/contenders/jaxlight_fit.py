@@ -39,13 +39,22 @@ class JaxlightFit(Contender):
         free_lights: for the normal equations: all fields of the material and of so many lights are free; -1: only
             the material's shininess.
         views: for the normal equations: so many views of these samples.
+        exposures: for the normal equations: the exposures of all views but the first are free too.
+        materials: so many, all alike and all free, a band of the samples each.
     """
 
     def __init__(
-        self, work: Workload, arrays: Arrays, precision: str = "float32", free_lights: int = 1, views: int = 1
+        self,
+        work: Workload,
+        arrays: Arrays,
+        precision: str = "float32",
+        free_lights: int = 1,
+        views: int = 1,
+        exposures: bool = False,
+        materials: int = 1,
     ) -> None:
         self._work, self._arrays, self._dtype = work, arrays, jnp.dtype(precision)
-        self._free_lights, self._views = free_lights, views
+        self._free_lights, self._views, self._exposures, self._materials = free_lights, views, exposures, materials
 
     def prepare(self, operation: Operation) -> Run:
         if operation == "fit":
@@ -72,15 +81,18 @@ class JaxlightFit(Contender):
         if self._free_lights < 0:
             return [("material.shininess", 0)]
         names = list(self._arrays.parameters)
-        material = [(name, 0) for name in names if name.startswith("material.")]
+        fields = [name for name in names if name.startswith("material.")]
         lights = [name for name in names if name.startswith("lights.")]
-        return material + [(name, row) for row in range(self._free_lights) for name in lights]
+        materials = [(name, row) for row in range(self._materials) for name in fields]
+        return materials + [(name, row) for row in range(self._free_lights) for name in lights]
 
     def _prepare(self, function: Any) -> Run:
-        scene = scene_of(self._work, self._arrays, self._dtype)
-        samples = samples_of(self._arrays, self._dtype)
+        scene = scene_of(self._work, self._arrays, self._dtype, self._materials)
+        samples = samples_of(self._arrays, self._dtype, materials=self._materials)
         views = [View(samples, self._arrays.target.T) for _ in range(self._views)]
         free = [path_of(name, row) for name, row in self._names()]
+        if self._exposures:
+            free += [f"View[{view}].exposure" for view in range(1, self._views)]
         problem, self._description = make_problem(scene, views, free)
         values = problem.parameters.start
         compiled = jax.jit(function, compiler_options=compiler_options()).lower(problem, values).compile()
@@ -99,7 +111,7 @@ class JaxlightFit(Contender):
         fields = {
             name: np.stack(rows).reshape(len(rows), *shapes[name].shape[1:])
             if name.startswith("lights.")
-            else rows[0].reshape(shapes[name].shape)
+            else np.sum(rows, axis=0).reshape(shapes[name].shape)
             for name, rows in gradient.items()
         }
         return ValueAndGradient(float(loss) * factor, fields)

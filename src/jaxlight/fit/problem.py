@@ -20,7 +20,8 @@ from ..scene.fields import positive
 from ..scene.flags import Flags
 from ..scene.paths import LIGHT_ATTRIBUTES, Leaf
 from ..scene.scene import Scene
-from .columns import Columns, OnlyView, columns_of
+from .columns import Columns
+from .directions import Apart, OnlyView, columns_of
 from .free import free_parameters
 from .parameters import FreeField, Parameters, World
 from .part import WHOLE, Part, choose_part
@@ -143,9 +144,13 @@ def make_problem(
 def _columns(scene: Scene, parameters: Parameters, views: list[ViewData], dtype: Any) -> Columns:
     """The directions; texels are coupled to numbers of any view and material, and so may be a pixel of several samples
     to those of several materials."""
-    by_view = not parameters.blocks
-    by_material = by_view and all(view.pixel is None for view in views)
-    return columns_of(parameters, dtype, _only_view(scene, views), by_material=by_material, by_view=by_view)
+    apart = Apart(
+        materials=not parameters.blocks and all(view.pixel is None for view in views),
+        views=not parameters.blocks,
+        lights=all(rows is None for view in views for rows in view.lights),
+        only_view=_only_view(scene, views),
+    )
+    return columns_of(parameters, dtype, apart)
 
 
 def _only_view(scene: Scene, views: list[ViewData]) -> OnlyView:

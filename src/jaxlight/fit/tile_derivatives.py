@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -21,6 +21,7 @@ from ..lighting.moved import moved_leaves
 from ..lighting.one_tile import Color
 from ..lighting.plan import Plan, number_of_lights, plan_of_lights
 from ..lighting.stages import Stage
+from ..lighting.world import WorldLights, one_by_one
 from ..scene.paths import LIGHT_ATTRIBUTES
 from .columns import Columns, Group, Rows
 from .problem import Problem
@@ -113,9 +114,11 @@ class GroupChanges(NamedTuple):
     which: ViewInputs
     """Leaves True where they are moved."""
     changes: ViewInputs
-    """The moved leaves' changes along the group's directions."""
+    """The moved leaves' changes along the group's directions; or along sums of these over lights."""
     directions: int
     """Of the group."""
+    by_light: int | None
+    """The kind of the lights that are moved, one by each direction, so that no direction needs the others."""
 
 
 def derivatives_by_tile(
@@ -126,7 +129,10 @@ def derivatives_by_tile(
 
     The scene is linearised once a view, the tiles with respect to what a group of directions moves.
     """
-    plans = [_plan_of_moved(problem, view, group.lights) if group.alone else view.plan for group in columns.groups]
+    plans = [
+        _plan_of_moved(problem, view, group.lights, one_by_one=group.by_light) if group.alone else view.plan
+        for group in columns.groups
+    ]
     # Shared by groups of one plan, or XLA would not see that their tiles are the same.
     inputs = {plan: inputs_of(problem.at(values), view, plan) for plan in dict.fromkeys([view.plan, *plans])}
     ends = np.cumsum([group.directions for group in columns.groups]).tolist()
@@ -138,10 +144,10 @@ def derivatives_by_tile(
     def of_tile(tile: Tile) -> tuple[Array, Array]:
         stage, pushes, color = Stage(tile.index >= 0), [], None
         for moved in groups:
-            own, push = _color_and_push(tile, moved)
+            own, push = (None, None) if moved.by_light is not None else _color_and_push(tile, moved)
             pushes.append(push)
-            color = own if moved.plan == view.plan else color
-        if color is None:  # only some of the lights are differentiated
+            color = own if own is not None and moved.plan == view.plan else color
+        if color is None:  # only lights are differentiated, some of them or one by one
             color = tile.color(inputs[view.plan], view.plan)
         exposure = inputs[view.plan].exposure
         residual = tile.residual_of(exposure, color)
@@ -168,9 +174,25 @@ def _changes(
             world = problem.parameters.leaves[place].put(world, jnp.concatenate([numbers, values[few:]]))
         return inputs_of(world, view, plan)
 
+    by_light = _kind_by_light(problem, group, plan)
+    if by_light is not None:
+        lights = len(group.lights[by_light])
+        directions = jnp.sum(directions.reshape(-1, lights, few), axis=1)
     which = moved_leaves(inputs_at, values[:few])
     push = jax.linearize(lambda numbers: eqx.filter(inputs_at(numbers), which), values[:few])[1]
-    return GroupChanges(plan, inputs, which, jax.vmap(push)(directions), group.directions)
+    return GroupChanges(plan, inputs, which, jax.vmap(push)(directions), group.directions, by_light)
+
+
+def _kind_by_light(problem: Problem, group: Group, plan: Plan) -> int | None:
+    """The kind of the group's lights, if they can be differentiated one by one: those of the plan are these lights."""
+    if not group.by_light:
+        return None
+    (kind,) = (kind for kind, rows in enumerate(group.lights) if rows)
+    own, rows = plan.lights[kind], group.lights[kind]
+    if own is None or own.culled:
+        return None
+    lights = getattr(problem.world.scene, LIGHT_ATTRIBUTES[kind])
+    return kind if rows == (tuple(range(len(lights.names))) if own.rows is None else own.rows) else None
 
 
 def _color_and_push(tile: Tile, moved: GroupChanges) -> tuple[Color, Callable[[ViewInputs], Color]]:
@@ -180,26 +202,66 @@ def _color_and_push(tile: Tile, moved: GroupChanges) -> tuple[Color, Callable[[V
 
 
 def _rows(
-    stage: Stage, tile: Tile, exposure: Array, color: Color, moved: GroupChanges, push: Callable[[ViewInputs], Color]
+    stage: Stage,
+    tile: Tile,
+    exposure: Array,
+    color: Color,
+    moved: GroupChanges,
+    push: Callable[[ViewInputs], Color] | None,
 ) -> Float[Array, "3 directions samples"]:
-    """The residuals' derivatives along the directions of a group."""
+    """The residuals' derivatives along the directions of a group; `push` None: of lights that are moved one by one."""
     if not any(jax.tree.leaves(moved.which)):  # lights that this view does not show
         return jnp.zeros((3, moved.directions, tile.size), color.rgb.dtype)
-    if moved.which.exposure:
+    if push is not None and moved.which.exposure:
         by_both = jax.linearize(tile.residual_of, exposure, color)[1]
         return stage(lambda: jax.vmap(lambda c: by_both(c.exposure, push(c)), out_axes=1)(moved.changes), name="rows")
     by_color = jax.linearize(lambda color: tile.residual_of(exposure, color), color)[1]
+    if push is None:
+        return stage(lambda: _rows_by_light(tile, moved, by_color), name="rows")
     return stage(lambda: jax.vmap(lambda c: by_color(push(c)), out_axes=1)(moved.changes), name="rows")
 
 
-def _plan_of_moved(problem: Problem, view: ViewData, rows: Rows) -> Plan:
+def _rows_by_light(
+    tile: Tile, moved: GroupChanges, by_color: Callable[[Color], Array]
+) -> Float[Array, "3 directions samples"]:
+    """`_rows` of directions that move one light each."""
+    kind, prepared = moved.by_light, moved.inputs.prepared
+    assert kind is not None
+    all_lights, which, changes = (
+        cast(WorldLights, own.prepared.lights[kind]) for own in (moved.inputs, moved.which, moved.changes)
+    )
+
+    def with_light(light: WorldLights, in_scope: Array | None) -> ViewInputs:
+        """The inputs with this light and no other."""
+        lights, scopes = (tuple(own if row == kind else None for row in range(3)) for own in (light, in_scope))
+        own = dataclasses.replace(prepared, lights=lights, scopes=scopes)
+        return dataclasses.replace(moved.inputs, prepared=own)
+
+    def of_light(light: WorldLights, in_scope: Array | None, changes: WorldLights) -> Array:
+        own, fixed = eqx.partition(light, which)
+
+        def color_at(own: WorldLights) -> Color:
+            return tile.color(with_light(eqx.combine(own, fixed), in_scope), moved.plan)
+
+        push = jax.linearize(color_at, own)[1]
+        return jax.vmap(lambda change: by_color(push(change)), out_axes=1)(changes)
+
+    scope = prepared.scopes[kind]
+    in_scope = None if scope is None else scope.T[:, :, None]
+    each = (one_by_one(all_lights), in_scope, jax.vmap(one_by_one, out_axes=1)(changes))
+    return jax.vmap(of_light, out_axes=2)(*each).reshape(3, -1, tile.size)
+
+
+def _plan_of_moved(problem: Problem, view: ViewData, rows: Rows, *, one_by_one: bool = False) -> Plan:
     """What derivatives of a view's colours by fields of these lights need.
 
-    Less than the view's plan only if it saves half of the lights or more, for they are evaluated once more.
+    Less than the view's plan only if lights are differentiated one by one, or if it saves half of them or more, for
+    they are evaluated once more.
     """
     if any(chosen is not None for chosen in view.lights):
         return view.plan
     kinds = [getattr(problem.world.scene, kind) for kind in LIGHT_ATTRIBUTES]
     counts = tuple(0 if lights is None else len(lights.names) for lights in kinds)
     plan = plan_of_lights(view.plan, rows, counts)
-    return plan if 2 * number_of_lights(plan, counts) <= number_of_lights(view.plan, counts) else view.plan
+    kept, all_lights = number_of_lights(plan, counts), number_of_lights(view.plan, counts)
+    return plan if 2 * kept <= all_lights or (one_by_one and kept < all_lights) else view.plan

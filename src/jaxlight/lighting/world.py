@@ -185,3 +185,10 @@ def in_chunks(lights: WorldLights, chunk: int) -> WorldLights:
         return jnp.moveaxis(filled.reshape(3, -1, chunk, *table.shape[2:]), 1, 0)
 
     return lights.with_planes(rows, colors)
+
+
+def one_by_one(lights: WorldLights) -> WorldLights:
+    """Every light, or its change, by itself: everything with a leading axis; None where nothing is given."""
+    planes = jax.tree.map(lambda plane: plane[:, None], dataclasses.replace(lights, color=None))
+    color = None if lights.color is None else jnp.moveaxis(lights.color, 1, 0)[:, :, None]
+    return dataclasses.replace(planes, color=color)
