@@ -130,7 +130,7 @@ def derivatives_by_tile(
     The scene is linearised once a view, the tiles with respect to what a group of directions moves.
     """
     plans = [
-        _plan_of_moved(problem, view, group.lights, one_by_one=group.by_light) if group.alone else view.plan
+        _plan_of_moved(problem, view, group.lights, by_light=group.by_light) if group.alone else view.plan
         for group in columns.groups
     ]
     # Shared by groups of one plan, or XLA would not see that their tiles are the same.
@@ -252,7 +252,7 @@ def _rows_by_light(
     return jax.vmap(of_light, out_axes=2)(*each).reshape(3, -1, tile.size)
 
 
-def _plan_of_moved(problem: Problem, view: ViewData, rows: Rows, *, one_by_one: bool = False) -> Plan:
+def _plan_of_moved(problem: Problem, view: ViewData, rows: Rows, *, by_light: bool = False) -> Plan:
     """What derivatives of a view's colours by fields of these lights need.
 
     Less than the view's plan only if lights are differentiated one by one, or if it saves half of them or more, for
@@ -264,4 +264,4 @@ def _plan_of_moved(problem: Problem, view: ViewData, rows: Rows, *, one_by_one: 
     counts = tuple(0 if lights is None else len(lights.names) for lights in kinds)
     plan = plan_of_lights(view.plan, rows, counts)
     kept, all_lights = number_of_lights(plan, counts), number_of_lights(view.plan, counts)
-    return plan if 2 * kept <= all_lights or (one_by_one and kept < all_lights) else view.plan
+    return plan if 2 * kept <= all_lights or (by_light and kept < all_lights) else view.plan
