@@ -186,8 +186,10 @@ def _metrics(measurements: Sequence[Measurement]) -> list[Metric]:
         found = [m for m in measurements if m.case in cases and m.skipped is None]
         if len(found) < len(cases):
             continue
-        if sweep.axis == "materials":
-            ratio = found[-1].seconds / found[0].seconds
+        if sweep.axis in ("materials", "views"):
+            growth = found[-1].seconds / found[0].seconds
+            # All materials together take as long as one; each view takes as long as the one before.
+            ratio = growth if sweep.axis == "materials" else growth / (sweep.cases[-1][0] / sweep.cases[0][0])
             metrics.append(Metric(f"scaling/{sweep.name}/many over one", ratio, "lower", 0.3))
         if sweep.normalise:
             ratio = found[-1].nanoseconds / min(m.nanoseconds for m in found)

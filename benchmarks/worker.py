@@ -33,7 +33,8 @@ class Cases:
         if workload not in self.contenders:
             arrays = make_arrays(workload)
             options = dict(self.entrant.options)
-            self.contenders[workload] = (self.entrant.contender()(workload, arrays, **options), arrays.input_bytes)
+            contender = self.entrant.contender()(workload, arrays, **options)
+            self.contenders[workload] = (contender, arrays.input_bytes * contender.views)
         contender, input_bytes = self.contenders[workload]
         started = time.perf_counter()
         run = contender.prepare(operation)

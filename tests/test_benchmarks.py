@@ -13,12 +13,14 @@ import pytest
 from benchmarks import gate, memory, report, yardstick
 from benchmarks import reference as reference_module
 from benchmarks.contenders.base import Operation
+from benchmarks.contenders.jaxlight_fit import JaxlightFit
 from benchmarks.entrants import PEERS, Entrant
 from benchmarks.errors import color_errors, gradient_errors
 from benchmarks.fits import ENTRANTS as FITS
 from benchmarks.harness import Case, Plan, measure
 from benchmarks.profile import operations, stage_shares
 from benchmarks.reference import answer
+from benchmarks.worker import Cases
 from benchmarks.workload import Arrays, Workload, make_arrays
 
 SMALL = Workload(samples=600, lights=3, sample_color=False)
@@ -132,6 +134,15 @@ def test_the_harness_measures_and_says_why_not(tmp_path: Path) -> None:
     assert missing.skipped == "no_such_package not installed"
     assert failed.skipped is not None
     assert "ModuleNotFoundError" in failed.skipped
+
+
+def test_memory_is_weighed_against_the_samples_of_all_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(JaxlightFit, "prepare", lambda self, operation: lambda: None)
+    found = []
+    for views in (1, 3):
+        entrant = Entrant("fit", "jaxlight_fit:JaxlightFit", options=(("views", views),))
+        found.append(Cases(entrant).load("", dataclasses.asdict(SMALL), "normal_equations", None)["input_bytes"])
+    assert found == [make_arrays(SMALL).input_bytes, 3 * make_arrays(SMALL).input_bytes]
 
 
 def test_peak_memory_sees_a_known_allocation() -> None:

@@ -32,6 +32,9 @@ class FitResult(NamedTuple):
 class Contender(abc.ABC):
     """A program that does one or more of the operations on a workload; it decodes the results of those it does."""
 
+    views: int = 1
+    """How many times it is given the workload's samples."""
+
     @abc.abstractmethod
     def __init__(self, work: Workload, arrays: Arrays) -> None:
         """Moves the arrays to where the program wants them."""

@@ -54,7 +54,7 @@ class JaxlightFit(Contender):
         materials: int = 1,
     ) -> None:
         self._work, self._arrays, self._dtype = work, arrays, jnp.dtype(precision)
-        self._free_lights, self._views, self._exposures, self._materials = free_lights, views, exposures, materials
+        self._free_lights, self.views, self._exposures, self._materials = free_lights, views, exposures, materials
 
     def prepare(self, operation: Operation) -> Run:
         if operation == "fit":
@@ -89,10 +89,10 @@ class JaxlightFit(Contender):
     def _prepare(self, function: Any) -> Run:
         scene = scene_of(self._work, self._arrays, self._dtype, self._materials)
         samples = samples_of(self._arrays, self._dtype, materials=self._materials)
-        views = [View(samples, self._arrays.target.T) for _ in range(self._views)]
+        views = [View(samples, self._arrays.target.T) for _ in range(self.views)]
         free = [path_of(name, row) for name, row in self._names()]
         if self._exposures:
-            free += [f"View[{view}].exposure" for view in range(1, self._views)]
+            free += [f"View[{view}].exposure" for view in range(1, self.views)]
         problem, self._description = make_problem(scene, views, free)
         values = problem.parameters.start
         compiled = jax.jit(function, compiler_options=compiler_options()).lower(problem, values).compile()
@@ -100,7 +100,7 @@ class JaxlightFit(Contender):
 
     def value_and_gradient(self, result: Any) -> ValueAndGradient:
         """The loss is half the sum of squares, over all views."""
-        factor = 2 / self._views
+        factor = 2 / self.views
         loss, slope = result[:2]
         flat = np.asarray(slope) * factor
         by_path = {field.path: flat[field.numbers] for field in self._description.fields}
