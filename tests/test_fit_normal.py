@@ -262,6 +262,36 @@ def _moved_by_stages(jaxpr: Any) -> list[tuple[int, ...]]:
 
 
 @pytest.mark.parametrize(
+    ("free", "evaluated"),
+    [
+        (["Material[body].*", "View[0].exposure"], 1),
+        (["Material[body].*", "PointLight[*].location", "PointLight[*].attenuation", "PointLight[*].color"], 2),
+        (["Material[body].*", "PointLight[key].location", "PointLight[key].attenuation"], 2),
+    ],
+)
+def test_all_directions_that_need_the_same_lights_share_one_evaluation_of_a_tile(
+    free: list[str], evaluated: int
+) -> None:
+    """Of all lights, of lights one by one, of a light alone; groups of directions are several of each."""
+    with precision("float32") as dtype:
+        samples = sphere_samples(SIZE, dtype=dtype, tile=256)
+        made, _ = make_problem(scene(dtype), [View(samples, sphere_picture(SIZE))], free)
+        program = jax.make_jaxpr(normal.normal_equations)(made, made.parameters.start)
+    assert len(made.columns.groups) > evaluated
+    assert _stages_called("weights", program.jaxpr) == evaluated
+
+
+def _stages_called(name: str, jaxpr: Any) -> int:
+    """How many stages of this name there are, their derivatives left out."""
+    called = 0
+    for equation in jaxpr.eqns:
+        scope = str(equation.source_info.name_stack).rsplit("/", 1)[-1]
+        called += equation.primitive.name == "cond" and scope.endswith(f"stage.{name}")
+        called += sum(_stages_called(name, inner) for inner in jaxprs_in_params(equation.params))
+    return called
+
+
+@pytest.mark.parametrize(
     ("free", "directions"),
     [
         (FREE, [4, 2, 3, 3]),  # three colours and transparency; ambient and exponent; an attenuation; a place

@@ -175,7 +175,7 @@ def test_a_linear_stage_is_transposed_twice(inputs: Any) -> None:
         plane, number, _ = inputs
 
         def stage(known: jax.Array, moving: tuple[jax.Array, jax.Array]) -> jax.Array:
-            which = jnp.where(known[0, 0] > 0, 1, 0)
+            which = jnp.where(known[0, 0] > 0, 0, 1)
             return linear_stage(which, [lambda k, m: k * m[0] + m[1]], known, moving)
 
         there = jax.linear_transpose(lambda a: stage(plane, (a, jnp.zeros_like(a))), plane)

@@ -70,6 +70,11 @@ class Columns(eqx.Module):
         kinds = range(len(LIGHT_ATTRIBUTES))
         return tuple(tuple(sorted({row for group in self.groups for row in group.lights[kind]})) for kind in kinds)
 
+    def directions_of(self, place: int) -> Float[Array, "directions numbers"]:
+        """Of the group in this place."""
+        end = sum(group.directions for group in self.groups[: place + 1])
+        return self.directions[end - self.groups[place].directions : end]
+
     def linear(self) -> Columns:
         """The directions that are linear together."""
         return self.first(self.together)

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
+from ..lighting.changes import of_some
 from ..lighting.lanes import Packed, on_all_lanes, on_fewer_lanes, packed, summed, unpacked
-from ..lighting.moved import moved_leaves
+from ..lighting.moved import moved_by, moved_leaves
 from ..lighting.one_tile import Color
 from ..lighting.plan import Plan, number_of_lights, plan_of_lights
 from ..lighting.stages import Stage
@@ -27,6 +28,9 @@ from .columns import Columns, Group, Rows
 from .problem import Problem
 from .streaming import Tile, ViewInputs, inputs_of
 from .views import ViewData
+
+ResidualChange = Callable[[Float[Array, ""] | None, Color], Float[Array, "3 samples"]]
+"""The change of a tile's residuals by those of exposure (None: none) and colours."""
 
 
 class Slope(NamedTuple):
@@ -104,21 +108,40 @@ def _moved_of(which: ViewInputs, lights: bool, others: bool) -> ViewInputs:
     return dataclasses.replace(rest, prepared=dataclasses.replace(rest.prepared, lights=own))
 
 
+class Need(NamedTuple):
+    """What the derivatives of a group of directions need."""
+
+    plan: Plan
+    by_light: int | None
+    """The kind of the lights that are moved, one by each direction, so that no direction needs the others."""
+
+
 class GroupChanges(NamedTuple):
     """What a group of directions moves."""
 
-    plan: Plan
-    """What its derivatives need."""
-    inputs: ViewInputs
-    """Of the plan."""
+    place: int
+    """Of the group among all."""
+    directions: int
     which: ViewInputs
     """Leaves True where they are moved."""
     changes: ViewInputs
     """The moved leaves' changes along the group's directions; or along sums of these over lights."""
-    directions: int
-    """Of the group."""
-    by_light: int | None
-    """The kind of the lights that are moved, one by each direction, so that no direction needs the others."""
+
+
+class Changes(NamedTuple):
+    """What the groups move that need the same."""
+
+    need: Need
+    inputs: ViewInputs
+    """Of the plan."""
+    which: ViewInputs
+    """Leaves True where some group moves them."""
+    groups: list[GroupChanges]
+
+    @property
+    def moving(self) -> ViewInputs:
+        """Those of the inputs that some group moves; None elsewhere."""
+        return eqx.filter(self.inputs, self.which)
 
 
 def derivatives_by_tile(
@@ -127,32 +150,32 @@ def derivatives_by_tile(
     """A function of a tile: its residuals [3, samples], and the rows [3, directions + 1, samples] of their derivatives,
     see `columns`, with the residuals as the last.
 
-    The scene is linearised once a view, the tiles with respect to what a group of directions moves.
+    The scene is linearised once a view, the tiles once for all groups of directions that need the same.
     """
-    plans = [
-        _plan_of_moved(problem, view, group.lights, by_light=group.by_light) if group.alone else view.plan
-        for group in columns.groups
-    ]
-    # Shared by groups of one plan, or XLA would not see that their tiles are the same.
-    inputs = {plan: inputs_of(problem.at(values), view, plan) for plan in dict.fromkeys([view.plan, *plans])}
-    ends = np.cumsum([group.directions for group in columns.groups]).tolist()
-    groups = [
-        _changes(problem, view, values, group, plan, inputs[plan], columns.directions[end - group.directions : end])
-        for group, plan, end in zip(columns.groups, plans, ends, strict=True)
-    ]
+    needs: dict[Need, list[int]] = {}
+    for place, group in enumerate(columns.groups):
+        needs.setdefault(_need(problem, view, group), []).append(place)
+    inputs = inputs_of(problem.at(values), view, view.plan)
+    every = [_changes(problem, view, values, columns, need, places) for need, places in needs.items()]
 
     def of_tile(tile: Tile) -> tuple[Array, Array]:
-        stage, pushes, color = Stage(tile.index >= 0), [], None
-        for moved in groups:
-            own, push = (None, None) if moved.by_light is not None else _color_and_push(tile, moved)
-            pushes.append(push)
-            color = own if own is not None and moved.plan == view.plan else color
-        if color is None:  # only lights are differentiated, some of them or one by one
-            color = tile.color(inputs[view.plan], view.plan)
-        exposure = inputs[view.plan].exposure
-        residual = tile.residual_of(exposure, color)
-        rows = [_rows(stage, tile, exposure, color, moved, push) for moved, push in zip(groups, pushes, strict=True)]
-        return residual, jnp.concatenate([*rows, residual[:, None]], axis=1)
+        stage = Stage(tile.index >= 0)
+        linear = {moved.need: _color_and_push(tile, moved) for moved in every if moved.need.by_light is None}
+        whole = Need(view.plan, None)
+        # Maybe only lights are differentiated, some of them or one by one.
+        color = linear[whole][0] if whole in linear else tile.color(inputs, view.plan)
+        change = _residual_change(tile, inputs.exposure, color)
+        rows: dict[int, Array] = {}
+        for moved in every:
+            if moved.need in linear:
+                push = linear[moved.need][1]
+                own = [_rows(stage, tile, moved, group, push, change) for group in moved.groups]
+            else:
+                own = stage(partial(_rows_by_light, tile, moved, change), name="rows")
+            rows.update(zip((group.place for group in moved.groups), own, strict=True))
+        residual = tile.residual_of(inputs.exposure, color)
+        in_order = [rows[place] for place in range(len(columns.groups))]
+        return residual, jnp.concatenate([*in_order, residual[:, None]], axis=1)
 
     return of_tile
 
@@ -161,26 +184,41 @@ def _changes(
     problem: Problem,
     view: ViewData,
     values: Float[Array, " parameters"],
-    group: Group,
-    plan: Plan,
-    inputs: ViewInputs,
-    directions: Float[Array, "directions numbers"],
-) -> GroupChanges:
-    few = problem.parameters.few
+    columns: Columns,
+    need: Need,
+    places: list[int],
+) -> Changes:
+    """Of the groups in these places."""
+    world, numbers = problem.at(values), values[: problem.parameters.few]
+    leaves = sorted({leaf for place in places for leaf in columns.groups[place].leaves})
+    here = [numbers] * len(leaves)
 
-    def inputs_at(numbers: Array) -> ViewInputs:
-        world = problem.at(values)
-        for place in group.leaves:
-            world = problem.parameters.leaves[place].put(world, jnp.concatenate([numbers, values[few:]]))
-        return inputs_of(world, view, plan)
+    def inputs_at(numbers: list[Array]) -> ViewInputs:
+        """Each leaf is moved by numbers of its own."""
+        moved = world
+        for leaf, own in zip(leaves, numbers, strict=True):
+            moved = problem.parameters.leaves[leaf].put(moved, own)
+        return inputs_of(moved, view, need.plan)
 
-    by_light = _kind_by_light(problem, group, plan)
-    if by_light is not None:
-        lights = len(group.lights[by_light])
-        directions = jnp.sum(directions.reshape(-1, lights, few), axis=1)
-    which = moved_leaves(inputs_at, values[:few])
-    push = jax.linearize(lambda numbers: eqx.filter(inputs_at(numbers), which), values[:few])[1]
-    return GroupChanges(plan, inputs, which, jax.vmap(push)(directions), group.directions, by_light)
+    moved_by_some = moved_by(inputs_at, here)
+    which = moved_by_some([True] * len(leaves))
+    push = jax.linearize(lambda numbers: eqx.filter(inputs_at(numbers), which), here)[1]
+
+    def of_group(place: int) -> GroupChanges:
+        group, directions = columns.groups[place], columns.directions_of(place)
+        if need.by_light is not None:
+            directions = jnp.sum(directions.reshape(-1, len(group.lights[need.by_light]), len(numbers)), axis=1)
+        moves = [leaf in group.leaves for leaf in leaves]
+        own, push_own = moved_by_some(moves), of_some(push, here, moves)
+        changes = jax.vmap(lambda change: push_own([change if move else None for move in moves]))(directions)
+        return GroupChanges(place, group.directions, own, eqx.filter(changes, own))
+
+    return Changes(need, inputs_of(world, view, need.plan), which, [of_group(place) for place in places])
+
+
+def _need(problem: Problem, view: ViewData, group: Group) -> Need:
+    plan = _plan_of_moved(problem, view, group.lights, by_light=group.by_light) if group.alone else view.plan
+    return Need(plan, _kind_by_light(problem, group, plan))
 
 
 def _kind_by_light(problem: Problem, group: Group, plan: Plan) -> int | None:
@@ -195,61 +233,66 @@ def _kind_by_light(problem: Problem, group: Group, plan: Plan) -> int | None:
     return kind if rows == (tuple(range(len(lights.names))) if own.rows is None else own.rows) else None
 
 
-def _color_and_push(tile: Tile, moved: GroupChanges) -> tuple[Color, Callable[[ViewInputs], Color]]:
-    """A tile's colours by the group's plan, and how they change with what it moves."""
-    own, fixed = eqx.partition(moved.inputs, moved.which)
-    return jax.linearize(lambda own: tile.color(eqx.combine(own, fixed), moved.plan), own)
+def _color_and_push(tile: Tile, moved: Changes) -> tuple[Color, Callable[[ViewInputs], Color]]:
+    """A tile's colours by the groups' plan, and how they change with all that they move."""
+    return jax.linearize(lambda own: tile.color(eqx.combine(own, moved.inputs), moved.need.plan), moved.moving)
+
+
+def _residual_change(tile: Tile, exposure: Array, color: Color) -> ResidualChange:
+    by_color = jax.linearize(lambda color: tile.residual_of(exposure, color), color)[1]
+    by_both = jax.linearize(tile.residual_of, exposure, color)[1]
+    return lambda exposure, color: by_color(color) if exposure is None else by_both(exposure, color)
 
 
 def _rows(
     stage: Stage,
     tile: Tile,
-    exposure: Array,
-    color: Color,
-    moved: GroupChanges,
-    push: Callable[[ViewInputs], Color] | None,
+    moved: Changes,
+    group: GroupChanges,
+    push: Callable[[ViewInputs], Color],
+    change: ResidualChange,
 ) -> Float[Array, "3 directions samples"]:
-    """The residuals' derivatives along the directions of a group; `push` None: of lights that are moved one by one."""
-    if not any(jax.tree.leaves(moved.which)):  # lights that this view does not show
-        return jnp.zeros((3, moved.directions, tile.size), color.rgb.dtype)
-    if push is not None and moved.which.exposure:
-        by_both = jax.linearize(tile.residual_of, exposure, color)[1]
-        return stage(lambda: jax.vmap(lambda c: by_both(c.exposure, push(c)), out_axes=1)(moved.changes), name="rows")
-    by_color = jax.linearize(lambda color: tile.residual_of(exposure, color), color)[1]
-    if push is None:
-        return stage(lambda: _rows_by_light(tile, moved, by_color), name="rows")
-    return stage(lambda: jax.vmap(lambda c: by_color(push(c)), out_axes=1)(moved.changes), name="rows")
-
-
-def _rows_by_light(
-    tile: Tile, moved: GroupChanges, by_color: Callable[[Color], Array]
-) -> Float[Array, "3 directions samples"]:
-    """`_rows` of directions that move one light each."""
-    kind, prepared = moved.by_light, moved.inputs.prepared
-    assert kind is not None
-    all_lights, which, changes = (
-        cast(WorldLights, own.prepared.lights[kind]) for own in (moved.inputs, moved.which, moved.changes)
+    """The residuals' derivatives along the directions of a group."""
+    if not any(jax.tree.leaves(group.which)):  # lights that this view does not show
+        return jnp.zeros((3, group.directions, tile.size), moved.inputs.exposure.dtype)
+    push_own = of_some(push, moved.moving, group.which)
+    return stage(
+        lambda: jax.vmap(lambda own: change(own.exposure, push_own(own)), out_axes=1)(group.changes), name="rows"
     )
+
+
+def _rows_by_light(tile: Tile, moved: Changes, change: ResidualChange) -> list[Float[Array, "3 directions samples"]]:
+    """`_rows` of directions that move one light each."""
+    kind, prepared = moved.need.by_light, moved.inputs.prepared
+    assert kind is not None
+
+    def own(inputs: ViewInputs) -> WorldLights:
+        return cast(WorldLights, inputs.prepared.lights[kind])
 
     def with_light(light: WorldLights, in_scope: Array | None) -> ViewInputs:
         """The inputs with this light and no other."""
         lights, scopes = (tuple(own if row == kind else None for row in range(3)) for own in (light, in_scope))
-        own = dataclasses.replace(prepared, lights=lights, scopes=scopes)
-        return dataclasses.replace(moved.inputs, prepared=own)
+        return dataclasses.replace(moved.inputs, prepared=dataclasses.replace(prepared, lights=lights, scopes=scopes))
 
-    def of_light(light: WorldLights, in_scope: Array | None, changes: WorldLights) -> Array:
-        own, fixed = eqx.partition(light, which)
+    def of_light(light: WorldLights, in_scope: Array | None, changes: list[WorldLights]) -> list[Array]:
+        moving = eqx.filter(light, own(moved.which))
 
-        def color_at(own: WorldLights) -> Color:
-            return tile.color(with_light(eqx.combine(own, fixed), in_scope), moved.plan)
+        def color_at(moving: WorldLights) -> Color:
+            return tile.color(with_light(eqx.combine(moving, light), in_scope), moved.need.plan)
 
-        push = jax.linearize(color_at, own)[1]
-        return jax.vmap(lambda change: by_color(push(change)), out_axes=1)(changes)
+        push = jax.linearize(color_at, moving)[1]
+
+        def of_group(group: GroupChanges, changes: WorldLights) -> Array:
+            push_own = of_some(push, moving, own(group.which))
+            return jax.vmap(lambda own: change(None, push_own(own)), out_axes=1)(changes)
+
+        return list(map(of_group, moved.groups, changes))
 
     scope = prepared.scopes[kind]
     in_scope = None if scope is None else scope.T[:, :, None]
-    each = (one_by_one(all_lights), in_scope, jax.vmap(one_by_one, out_axes=1)(changes))
-    return jax.vmap(of_light, out_axes=2)(*each).reshape(3, -1, tile.size)
+    changes = [jax.vmap(one_by_one, out_axes=1)(own(group.changes)) for group in moved.groups]
+    rows = jax.vmap(of_light, out_axes=2)(one_by_one(own(moved.inputs)), in_scope, changes)
+    return [planes.reshape(3, -1, tile.size) for planes in rows]
 
 
 def _plan_of_moved(problem: Problem, view: ViewData, rows: Rows, *, by_light: bool = False) -> Plan:

@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
+from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array
+
+from .pruned import pruned
 
 
 def with_change(function: Callable[..., Any], primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
@@ -20,6 +25,22 @@ def with_change(function: Callable[..., Any], primals: tuple[Any, ...], tangents
         return function(*tree.unflatten(merged(leaves, moving, values)))
 
     return jax.jvp(of_moving, [leaves[number] for number in moving], [changes[number] for number in moving])
+
+
+def of_some(push: Callable[[Any], Any], values: Any, which: Any) -> Callable[[Any], Any]:
+    """A linear function of the changes of all values as one of those of some, where `which` is True.
+
+    What the others lead to is left out. The changes are given as a tree with None for the others.
+    """
+    zeros = jax.tree.map(jnp.zeros_like, values)
+    moving = eqx.filter(zeros, which)
+
+    def along(changes: Any) -> Any:
+        return jax.jvp(lambda own: push(eqx.combine(own, zeros)), (moving,), (changes,))[1]
+
+    jaxpr, shapes = jax.make_jaxpr(along, return_shape=True)(moving)
+    evaluated, tree = jaxpr_as_fun(pruned(jaxpr)), jax.tree.structure(shapes)
+    return lambda changes: tree.unflatten(evaluated(*jax.tree.leaves(changes)))
 
 
 def without_zeros(tangents: Any) -> Any:

@@ -21,6 +21,7 @@ from jaxtyping import Array, Int
 from .at_once import at_once
 from .changes import merged
 from .own_sums import with_own_sums
+from .pruned import pruned
 
 
 def linear_stage(
@@ -29,16 +30,16 @@ def linear_stage(
     known: Any,
     moving: Any,
 ) -> Any:
-    """functions[which - 1](known, moving), linear in `moving`, behind a boundary.
+    """functions[which](known, moving), linear in `moving`, behind a boundary.
 
     Args:
-        which: at least 1, but only the running program knows. Mapped over, the largest counts for all.
+        which: one of them, but only the running program knows. Mapped over, the largest counts for all.
         functions: close over no traced value; all give the same shapes. The cotangents of the first are computed at
             once.
         known, moving: pytrees of arrays.
     """
     traced = [jax.make_jaxpr(function, return_shape=True)(known, moving) for function in functions]
-    jaxprs = tuple(jaxpr for jaxpr, _ in traced)
+    jaxprs = tuple(pruned(jaxpr) for jaxpr, _ in traced)
     known, moving = jax.tree.leaves(known), jax.tree.leaves(moving)
     tree = jax.tree.structure(traced[0][1])
     return tree.unflatten(_linear_stage.bind(which, *known, *moving, known=len(known), jaxprs=jaxprs))
@@ -57,7 +58,7 @@ def _evaluated(
     def never(*_: Array) -> list[Array]:
         return [jnp.zeros(result.shape, result.dtype) for result in jaxprs[0].out_avals]
 
-    return lax.switch(which, [never, *map(evaluated, jaxprs)], *operands)
+    return lax.switch(which, [*map(evaluated, jaxprs), never], *operands)
 
 
 def _last_form(which: Array, *operands: Array, jaxprs: _Forms, known: int) -> Sequence[Array]:
@@ -68,11 +69,26 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, jaxprs: _Forms, kno
     which, *operands = primals
     changes = tangents[1:]
     moving = [number for number, change in enumerate(changes) if type(change) is not ad.Zero]
+    own, directions = [operands[number] for number in moving], [changes[number] for number in moving]
+    if any(number < known for number in moving):
 
-    def of_moving(*values: Array) -> Any:
-        return _evaluated(which, *merged(operands, moving, values), jaxprs=jaxprs, known=known)
+        def of_moving(*values: Array) -> Any:
+            return _evaluated(which, *merged(operands, moving, values), jaxprs=jaxprs, known=known)
 
-    return jax.jvp(of_moving, [operands[number] for number in moving], [changes[number] for number in moving])
+        return jax.jvp(of_moving, own, directions)
+
+    def change(jaxpr: ClosedJaxpr, here: list[Array], directions: list[Array]) -> list[Array]:
+        zeros = [jnp.zeros_like(direction) for direction in directions]
+        return jax.jvp(_of_linear(jaxpr, here, moving), zeros, directions)[1]
+
+    results = _linear_stage.bind(*primals, jaxprs=jaxprs, known=known)
+    return results, linear_stage(which, [partial(change, jaxpr) for jaxpr in jaxprs], operands[:known], directions)
+
+
+def _of_linear(jaxpr: ClosedJaxpr, known: Sequence[Array], numbers: list[int]) -> Callable[..., list[Array]]:
+    """A form as a function of the operands of these numbers, in which it is linear: of the others zeros will do."""
+    given = [*known, *(jnp.zeros(operand.shape, operand.dtype) for operand in jaxpr.in_avals[len(known) :])]
+    return lambda *values: jaxpr_as_fun(jaxpr)(*merged(given, numbers, values))
 
 
 def _transpose(cotangents: Sequence[Any], which: Array, *operands: Any, jaxprs: _Forms, known: int) -> list[Any]:
@@ -80,20 +96,18 @@ def _transpose(cotangents: Sequence[Any], which: Array, *operands: Any, jaxprs: 
     felt = [number for number, cotangent in enumerate(cotangents) if type(cotangent) is not ad.Zero]
     shapes = [jax.ShapeDtypeStruct(operands[n].aval.shape, operands[n].aval.dtype) for n in linear]
 
-    def pulled(form: int, here: tuple[Array, ...], back: list[Array]) -> list[Array]:
-        jaxpr = jaxprs[form]
+    def pulled(jaxpr: ClosedJaxpr, here: tuple[Array, ...], back: list[Array]) -> list[Array]:
+        of_linear = _of_linear(jaxpr, here, linear)
 
-        def of_linear(*values: Array) -> list[Array]:
-            # What else it is linear in does not matter to its transpose.
-            given = [*here, *(jnp.zeros(a.shape, a.dtype) for a in jaxpr.in_avals[known:])]
-            results = jaxpr_as_fun(jaxpr)(*merged(given, linear, values))
+        def of_felt(*values: Array) -> list[Array]:
+            results = of_linear(*values)
             return [results[number] for number in felt]
 
-        found = list(jax.linear_transpose(of_linear, *shapes)(back))
+        found = list(jax.linear_transpose(of_felt, *shapes)(back))
         alike = [number for number, cotangent in enumerate(found) if cotangent.shape == back[0].shape]
         return merged(found, alike, at_once([found[number] for number in alike]))
 
-    functions = [partial(pulled, form) for form in range(len(jaxprs))]
+    functions = [partial(pulled, jaxpr) for jaxpr in jaxprs]
     found = linear_stage(which, functions, tuple(operands[:known]), [cotangents[number] for number in felt])
     return [None, *merged([None] * len(operands), linear, found)]
 

@@ -111,7 +111,7 @@ class SampleLoops(Stage):
                 planes = iter(on_planes(program(False), _single_planes(operands), shape))
                 own = [jnp.stack([next(planes) for _ in range(math.prod(s))]).reshape(*s, *shape) for s in shapes]
                 return tree.unflatten(own)
-            numbers = lax.switch(self.which, [never, lambda: loop(True), lambda: loop(False)])
+            numbers = lax.switch(self.which(2), [lambda: loop(True), lambda: loop(False), never])
         return SideBySide(numbers, shapes, tree)
 
 

@@ -12,11 +12,13 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jaxtyping import Array
 
 from .changes import is_zero, merged, moves, with_change
 from .linear_stage import linear_stage
 from .own_sums import spread
+from .pruned import pruned
 from .unstored import is_unstored, stored
 
 Forms = Sequence[Callable[..., Any]]
@@ -26,10 +28,7 @@ Forms = Sequence[Callable[..., Any]]
 class Boundary(Protocol):
     """A `Stage`, which knows nothing of derivatives."""
 
-    always: Array
-
-    @property
-    def which(self) -> Array: ...
+    def which(self, forms: int) -> Array: ...
 
     def of_forms(self, forms: Forms, *operands: Any) -> Any: ...
 
@@ -56,10 +55,6 @@ class How(NamedTuple):
 
     def _forms_of(self, function: Callable[..., Any]) -> Forms:
         return [partial(function, ordinary=ordinary) for ordinary in (True, False)] if self.has_forms else [function]
-
-    def which(self, stage: Boundary) -> Array:
-        """Which of the forms is evaluated, counted from 1."""
-        return stage.which if self.has_forms else stage.always.astype(jnp.int32)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -128,19 +123,21 @@ def _change(
 
     wide = [widened(number, direction) for number, direction in zip(moving, directions, strict=True)]
     changes_of = [partial(change, form) for form in range(len(how.forms))]
-    return linear_stage(how.which(stage), changes_of, (operands, derived, results if inside else None), wide)
+    known = (operands, derived, results if inside else None)
+    return linear_stage(stage.which(len(changes_of)), changes_of, known, wide)
 
 
 def _each_by_itself(stage: Boundary, forms: Forms, operands: tuple[Any, ...]) -> Any:
-    shapes, tree = jax.tree.flatten(jax.eval_shape(lambda: forms[0](*stored(operands))))
+    traced = [jax.make_jaxpr(form, return_shape=True)(*jax.eval_shape(stored, operands)) for form in forms]
+    shapes, tree = jax.tree.flatten(traced[0][1])
 
-    def plane(number: int, form: Callable[..., Any], *operands: Any) -> Array:
-        return jax.tree.leaves(form(*operands))[number]
+    def plane(jaxpr: ClosedJaxpr, *operands: Any) -> Array:
+        return jaxpr_as_fun(jaxpr)(*jax.tree.leaves(operands))[0]
 
-    planes = [
-        stage.of_forms([partial(plane, number, form) for form in forms], *operands) for number in range(len(shapes))
-    ]
-    return tree.unflatten(planes)
+    def own_plane(number: int) -> Array:
+        return stage.of_forms([partial(plane, pruned(jaxpr, number)) for jaxpr, _ in traced], *operands)
+
+    return tree.unflatten(map(own_plane, range(len(shapes))))
 
 
 def _planes(operands: Any) -> list[Any]:

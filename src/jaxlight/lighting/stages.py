@@ -20,7 +20,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array, Bool, Int
 
 from ..processor import for_cpu, sizes
@@ -51,10 +50,13 @@ class Stage(eqx.Module):
         """function(*operands), a stage of its own; `name` (default: the function's) is for profiles."""
         return self._bounded([function], operands, name or name_of(function))
 
-    @property
-    def which(self) -> Int[Array, ""]:
-        """Which of two forms is evaluated: 1, that for ordinary tiles, or 2, the one with care."""
-        return jnp.where(self.ordinary, 1, 2) * self.always
+    def which(self, forms: int) -> Int[Array, ""]:
+        """Which of so many forms is evaluated, from 0 on: of two that for ordinary tiles or the one with care.
+
+        None of them, `forms`, as far as XLA knows; it never happens.
+        """
+        form = jnp.where(self.ordinary, 0, 1) if forms == 2 else 0
+        return jnp.where(self.always, form, forms)
 
     @property
     def in_planes(self) -> Stage:
@@ -129,18 +131,22 @@ class Stage(eqx.Module):
         if not for_cpu():
             with jax.named_scope(f"stage.{name}"):
                 return forms[-1](*stored(operands))
-        traced = [jax.make_jaxpr(partial(_of_stored, form), return_shape=True)(*operands) for form in forms]
-        shapes, tree = jax.tree.flatten(traced[0][1])
+        found: list[Any] = []
 
-        def never(*_: Array) -> list[Array]:
+        def noted(form: Callable[..., Any], *given: Any) -> Any:
+            results = jax.tree.map(jnp.asarray, form(*stored(given)))
+            found.append(jax.tree.map(lambda plane: jax.ShapeDtypeStruct(plane.shape, plane.dtype), results))
+            return results
+
+        def never(*_: Any) -> Any:
             # Zeros, made of `always`: XLA takes two equal stages for one only if both branches are given something.
             value = self.unreached()
-            return [jnp.full(shape.shape, value, shape.dtype) for shape in shapes]
+            return jax.tree.map(lambda like: jnp.full(like.shape, value, like.dtype), found[0])
 
-        which = self.always.astype(jnp.int32) if len(forms) == 1 else self.which
         with jax.named_scope(f"stage.{name}"):
-            branches = [never, *(jaxpr_as_fun(jaxpr) for jaxpr, _ in traced)]
-            return tree.unflatten(lax.switch(which, branches, *jax.tree.leaves(operands)))
+            # Last what is never taken: only then is it known what it has to give.
+            branches = [*(partial(noted, form) for form in forms), never]
+            return lax.switch(self.which(len(forms)), branches, *operands)
 
     def each(
         self,
@@ -181,7 +187,3 @@ class Stage(eqx.Module):
     ) -> How:
         """What is static of `each` with these arguments."""
         return How(function, () if self.forward else wide, shared, has_forms, self.forward, derive)
-
-
-def _of_stored(function: Callable[..., Any], *operands: Any) -> Any:
-    return function(*stored(operands))
