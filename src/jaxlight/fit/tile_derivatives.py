@@ -92,8 +92,8 @@ def parts_of(
             return inputs_of(problem.at(values), view, plan, together)
 
         which = _moved_of(moved_leaves(inputs_at, values), lights, others)
-        moving, pull = jax.vjp(lambda values: eqx.filter(inputs_at(values), which), values)
-        return GradientPart(plan, inputs_at(values), moving, lambda slope: pull(slope)[0])
+        moving, pull, inputs = jax.vjp(lambda values: _moving_and_all(inputs_at(values), which), values, has_aux=True)
+        return GradientPart(plan, inputs, moving, lambda slope: pull(slope)[0])
 
     plan = _plan_of_moved(problem, view, problem.columns.lights)
     if plan == view.plan:
@@ -106,6 +106,10 @@ def _moved_of(which: ViewInputs, lights: bool, others: bool) -> ViewInputs:
     own = jax.tree.map(lambda moved: moved and lights, which.prepared.lights)
     rest = jax.tree.map(lambda moved: moved and others, which)
     return dataclasses.replace(rest, prepared=dataclasses.replace(rest.prepared, lights=own))
+
+
+def _moving_and_all(inputs: ViewInputs, which: ViewInputs) -> tuple[ViewInputs, ViewInputs]:
+    return eqx.filter(inputs, which), inputs
 
 
 class Need(NamedTuple):
@@ -155,20 +159,20 @@ def derivatives_by_tile(
     needs: dict[Need, list[int]] = {}
     for place, group in enumerate(columns.groups):
         needs.setdefault(_need(problem, view, group), []).append(place)
-    inputs = inputs_of(problem.at(values), view, view.plan)
-    every = [_changes(problem, view, values, columns, need, places) for need, places in needs.items()]
+    every = {need: _changes(problem, view, values, columns, need, places) for need, places in needs.items()}
+    whole = Need(view.plan, None)
+    inputs = every[whole].inputs if whole in every else inputs_of(problem.at(values), view, view.plan)
 
     def of_tile(tile: Tile) -> tuple[Array, Array]:
         stage = Stage(tile.index >= 0)
-        linear = {moved.need: _color_and_push(tile, moved) for moved in every if moved.need.by_light is None}
-        whole = Need(view.plan, None)
+        linear = {need: _color_and_push(tile, moved) for need, moved in every.items() if need.by_light is None}
         # Maybe only lights are differentiated, some of them or one by one.
         color = linear[whole][0] if whole in linear else tile.color(inputs, view.plan)
         change = _residual_change(tile, inputs.exposure, color)
         rows: dict[int, Array] = {}
-        for moved in every:
-            if moved.need in linear:
-                push = linear[moved.need][1]
+        for need, moved in every.items():
+            if need in linear:
+                push = linear[need][1]
                 own = [_rows(stage, tile, moved, group, push, change) for group in moved.groups]
             else:
                 own = stage(partial(_rows_by_light, tile, moved, change), name="rows")
@@ -202,7 +206,7 @@ def _changes(
 
     moved_by_some = moved_by(inputs_at, here)
     which = moved_by_some([True] * len(leaves))
-    push = jax.linearize(lambda numbers: eqx.filter(inputs_at(numbers), which), here)[1]
+    _, push, inputs = jax.linearize(lambda numbers: _moving_and_all(inputs_at(numbers), which), here, has_aux=True)
 
     def of_group(place: int) -> GroupChanges:
         group, directions = columns.groups[place], columns.directions_of(place)
@@ -213,7 +217,7 @@ def _changes(
         changes = jax.vmap(lambda change: push_own([change if move else None for move in moves]))(directions)
         return GroupChanges(place, group.directions, own, eqx.filter(changes, own))
 
-    return Changes(need, inputs_of(world, view, need.plan), which, [of_group(place) for place in places])
+    return Changes(need, inputs, which, [of_group(place) for place in places])
 
 
 def _need(problem: Problem, view: ViewData, group: Group) -> Need:
