@@ -124,9 +124,10 @@ def main() -> int:
         series[sweep.title] = ([place for place, _ in done], [m.seconds * 1e3 for _, m in done])
     metrics = _metrics(everything)
     if "parameters" in options.axes:
-        forward = measure([_forward_of_one_light(options.quick)], plan, say=say)
-        metrics += _normal_equations_metric(everything, forward[0])
-        sections.append(_normal_equations_sentence(metrics))
+        in_pairs = measure([case for pair in _over_forward(options.quick) for case in pair], plan, say=say)
+        section, more = _over_forward_section(in_pairs)
+        everything, metrics = [*everything, *in_pairs], [*metrics, *more]
+        sections.append(section)
     text = "\n\n".join(["# Scaling", conditions(plan, everything), *sections, *skipped_lines(everything)])
     print(text)
     save(options.output, "scaling", text, [dataclasses.asdict(metric) for metric in metrics], everything)
@@ -199,20 +200,24 @@ def _metrics(measurements: Sequence[Measurement]) -> list[Metric]:
     return metrics
 
 
-def _forward_of_one_light(quick: bool) -> Case:
-    return Case(JAXLIGHT, "forward", Workload(2**13 if quick else 2**16, 1, sample_color=False))
+def _over_forward(quick: bool) -> list[tuple[Case, Case]]:
+    """Forward pass and J^T J of the same samples, which are many: calls do not count."""
+    works = [
+        Workload(2**13 if quick else 2**20, lights, sample_color=False) for lights in ([1] if quick else [1, 8, 64])
+    ]
+    return [(Case(JAXLIGHT, "forward", work), Case(_fit_entrant(), "normal_equations", work)) for work in works]
 
 
-def _normal_equations_metric(measurements: Sequence[Measurement], forward: Measurement) -> list[Metric]:
-    one_view = next((m for m in measurements if not m.skipped and dict(m.case.entrant.options).get("views") == 1), None)
-    if one_view is None or forward.skipped:
-        return []
-    return [Metric("normal equations/22 parameters/over forward", one_view.seconds / forward.seconds, "lower")]
-
-
-def _normal_equations_sentence(metrics: Sequence[Metric]) -> str:
-    ratio = next((m.value for m in metrics if m.name.startswith("normal equations")), None)
-    return "" if ratio is None else f"J^T J of 22 parameters costs {ratio:.1f} forward passes of the same view."
+def _over_forward_section(measurements: Sequence[Measurement]) -> tuple[str, list[Metric]]:
+    rows, metrics = [], []
+    for forward, normal in zip(measurements[::2], measurements[1::2], strict=True):
+        if forward.skipped or normal.skipped:
+            continue
+        work, ratio = forward.case.work, normal.seconds / forward.seconds
+        rows.append([work.lights, work.samples, forward.seconds * 1e3, normal.seconds * 1e3, ratio])
+        metrics.append(Metric(f"normal equations/22 parameters/{work.lights} lights/over forward", ratio, "lower"))
+    header = ["lights", "samples", "forward ms", "J^T J ms", "x forward"]
+    return f"## J^T J of 22 parameters, of a material and a light\n\n{table(header, rows)}", metrics
 
 
 if __name__ == "__main__":
