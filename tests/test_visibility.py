@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxlight.raster import Camera, embree_depth, rasterize, visibility
+from jaxlight.raster import Camera, depth_buffer, embree_depth, rasterize, visibility
+from jaxlight.raster.depth_buffer import Boxes, rows_of
 from jaxlight.raster.visibility import Prepared, barycentric, first_hits, prepare
 from jaxlight.scene import Scene, nodes
 from raster_oracle import first_hits as cast
@@ -30,9 +31,10 @@ def seen(
     prepared = Prepared.front_to_back(
         [prepare(corners, camera.pixel_to_camera(width, height), width, height, cull=cull)]
     )
-    pixel, row = first_hits(prepared, width, height)
+    pixel, number, _ = first_hits(prepared, None, width, height)
+    row = rows_of(prepared.number, number)
     which, depth = np.full(width * height, -1), np.full(width * height, np.inf)
-    which[pixel] = prepared.number[row]
+    which[pixel] = number
     weight = barycentric(prepared, row, pixel % width + 0.5, pixel // width + 0.5)
     depth[pixel] = -np.einsum("nc,nc->n", weight, to_camera[which[pixel]][..., 2])
     return which, depth, camera.rays(width, height).direction
@@ -111,8 +113,10 @@ def test_how_the_work_is_cut_up_changes_nothing(
 ) -> None:
     triangles = np.concatenate([soup(11, 300, 0.1), soup(12, 30, 2.0), soup(13, 20, (3, 3, 1e-4))])
     expected = seen(triangles, 90, 70)
-    for name, value in (("_CHUNK", chunk), ("_SMALL", small), ("_BLOCK", block)):
-        monkeypatch.setattr(visibility, name, value)
+    monkeypatch.setattr(depth_buffer, "_CHUNK", chunk)
+    for module in (depth_buffer, visibility):
+        monkeypatch.setattr(module, "SMALL", small)
+        monkeypatch.setattr(module, "BLOCK", block)
     found = seen(triangles, 90, 70)
     np.testing.assert_array_equal(found[0], expected[0])
     np.testing.assert_array_equal(found[1], expected[1])
@@ -243,7 +247,7 @@ def test_wrong_guesses_change_nothing(monkeypatch: pytest.MonkeyPatch, seed: int
     monkeypatch.setattr(visibility, "likely_hits", lambda *_: None)
     expected = seen(triangles, 90, 70)
 
-    def wrong(prepared: Prepared, boxes: visibility.Boxes, *_: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def wrong(prepared: Prepared, boxes: Boxes, *_: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         random = np.random.default_rng(seed)
         box = random.integers(len(boxes.row), size=20_000)
         x = random.integers(boxes.low_x[box], boxes.high_x[box], endpoint=True)

@@ -5,5 +5,5 @@ from .maps import Orthographic as Orthographic
 from .maps import samples_from_maps as samples_from_maps
 from .rasterize import rasterize as rasterize
 from .samples import SampleBuffer as SampleBuffer
-from .tessellate import tessellate as tessellate
+from .shapes import geometry_of as geometry_of
 from .triangles import Triangles as Triangles

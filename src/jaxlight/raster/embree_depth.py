@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from .visibility import Boxes, Prepared
+    from .depth_buffer import Boxes
+    from .visibility import Prepared
 
 _OVERDRAW = 150
 """Bounding boxes over a pixel, on average, from which guesses can pay."""

@@ -1,20 +1,20 @@
-"""The shapes of a scene as a camera sees them: triangles to test, and what they carry at the points that were hit."""
+"""The shapes of a scene as a camera sees them: what is to be tested, and what the points that were hit carry."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from ..scene import Scene, nodes
+from ..scene import Scene
 from ..scene.document import PlacedShape
-from ..scene.transforms import apply_to_normals, apply_to_points, mirrors
+from ..scene.transforms import apply_to_normals, apply_to_points, compose, mirrors
 from .camera import Camera
-from .quadrics import onto_quadric
-from .tessellate import SEGMENTS, segments_for, tessellate
+from .face_depth import PreparedFaces, prepare_faces
+from .primitives import Primitive
+from .shapes import geometry_of, texture_transformed, world_bounds
 from .texels import bilinear_texels
 from .triangles import Triangles
 from .visibility import Prepared, prepare
@@ -23,7 +23,7 @@ _CHUNK = 1 << 15
 """Samples whose attributes are worked out at a time."""
 
 MAX_TRIANGLES = 1 << 25
-"""Triangles of all placed shapes together; a shape used again counts every time."""
+"""Triangles and faces of all placed shapes together; a shape used again counts every time."""
 
 
 class Attributes(NamedTuple):
@@ -36,74 +36,83 @@ class Attributes(NamedTuple):
     texel_weight: np.ndarray | None
 
 
+class Hits(NamedTuple):
+    """Rays and what they meet; N of them."""
+
+    number: np.ndarray
+    """Which triangle or face, numbered in the order of the shapes."""
+    ray: np.ndarray
+    """[N, 3], from the eye to the point that is met, world space."""
+    weight: np.ndarray
+    """[N, 3], of the corners of a triangle."""
+    is_back: np.ndarray
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
-class PlacedTriangles:
-    """The triangles of all shapes, numbered in the order of the shapes."""
+class PlacedShapes:
+    """The triangles and faces of all shapes, numbered in the order of the shapes; from inside a face is one more."""
 
     scene: Scene
-    triangles: tuple[Triangles, ...]
+    geometry: tuple[Triangles | Primitive, ...]
     """Of each placed shape, in its own coordinates."""
     first: np.ndarray
-    """[shapes + 1], number of each shape's first triangle."""
+    """[shapes + 1], each shape's first number."""
 
     @classmethod
-    def of(cls, scene: Scene, camera: Camera, width: int, height: int) -> PlacedTriangles:
-        """Every shape cut into triangles, curved ones as finely as the picture asks for.
+    def of(cls, scene: Scene) -> PlacedShapes:
+        """Every shape of a scene.
 
         Raises:
-            ValueError: a geometry has an index that does not fit, or there are more than MAX_TRIANGLES.
+            ValueError: a geometry has an index that does not fit, or lies too far away, or there are more than
+                MAX_TRIANGLES.
         """
-        known: dict[tuple[int, int], Triangles] = {}
-        all_triangles, count = [], 0
+        known: dict[int, Triangles | Primitive] = {}
+        all_shapes, counts, total = [], [0], 0
         shapes = scene.document.shapes
         for number, placed in enumerate(shapes, start=1):
-            segments = _segments(placed, camera, width, height)
-            key = (id(placed.node), segments)
+            key = id(placed.node)
             if key not in known:
-                known[key] = tessellate(placed.node, segments)
-            all_triangles.append(known[key])
-            count += len(known[key])
-            if count > MAX_TRIANGLES:
+                known[key] = geometry_of(placed.node)
+            own = known[key]
+            world_bounds(placed, own)
+            all_shapes.append(own)
+            counts.append(2 * len(own.faces) if isinstance(own, Primitive) else len(own))
+            total += counts[-1]
+            if total > MAX_TRIANGLES:
                 raise ValueError(
-                    f"rasterize: the scene has more than {MAX_TRIANGLES} triangles: {count} up to {placed.node.label}, "
+                    f"rasterize: the scene has more than {MAX_TRIANGLES} triangles: {total} up to {placed.node.label}, "
                     f"{number} of {len(shapes)} placed shapes (one used again counts every time)"
                 )
-        first = np.cumsum([0, *(len(triangles) for triangles in all_triangles)])
-        return cls(scene, tuple(all_triangles), first)
+        return cls(scene, tuple(all_shapes), np.cumsum(counts))
 
-    def prepared(self, camera: Camera, width: int, height: int) -> Prepared:
-        """The triangles as the rasteriser tests them."""
+    def prepared(self, camera: Camera, width: int, height: int) -> tuple[Prepared, PreparedFaces | None]:
+        """The triangles and the faces as the rasteriser tests them."""
         pixel_to_camera = camera.pixel_to_camera(width, height)
-        parts = [prepare(np.zeros((3, 3, 0)), pixel_to_camera, width, height, cull=True)]
-        for placed, triangles, first in zip(self.scene.document.shapes, self.triangles, self.first, strict=False):
-            # Term by term: equal corners give bitwise equal results wherever they stand, which a blocked matrix
-            # product does not promise, and without which a hair's breadth could open between triangles.
-            world = [
-                _row_times(row, triangles.position) + shift - eye
-                for row, shift, eye in zip(placed.to_world[:, :3], placed.to_world[:, 3], camera.position, strict=True)
-            ]
-            seen = np.stack([sum(m * w for m, w in zip(axis, world, strict=True)) for axis in camera.rotation.T])
-            corners = np.moveaxis(seen, 2, 0)
-            if mirrors(placed.to_world):
-                corners = corners[::-1]
-            solid = getattr(placed.node.geometry, "solid", True)
-            parts.append(prepare(corners, pixel_to_camera, width, height, cull=solid, first_number=int(first)))
-        return Prepared.front_to_back(parts)
+        triangles = [prepare(np.zeros((3, 3, 0)), pixel_to_camera, width, height, cull=True)]
+        faces: list[PreparedFaces] = []
+        for placed, own, first in zip(self.scene.document.shapes, self.geometry, self.first, strict=False):
+            cull, number = getattr(placed.node.geometry, "solid", True), int(first)
+            if isinstance(own, Primitive):
+                to_camera = compose(_to_camera(camera), own.unit_to(placed.to_world))
+                faces.append(
+                    prepare_faces(own.faces, to_camera, pixel_to_camera, width, height, cull=cull, first_number=number)
+                )
+            else:
+                corners = _seen_corners(own.position, placed, camera)
+                triangles.append(prepare(corners, pixel_to_camera, width, height, cull=cull, first_number=number))
+        return Prepared.front_to_back(triangles), PreparedFaces.front_to_back(faces)
 
     def surface_of(self, number: np.ndarray) -> np.ndarray:
-        """Row in Scene.surfaces of each triangle."""
+        """Row in Scene.surfaces of each triangle or face."""
         rows = np.array([placed.surface for placed in self.scene.document.shapes], dtype=np.int64)
         return rows[np.searchsorted(self.first, number, side="right") - 1]
 
-    def attributes(self, eye: np.ndarray, number: np.ndarray, weight: np.ndarray, is_back: np.ndarray) -> Attributes:
-        """What triangles `number` [N] carry where rays from `eye` meet them, at barycentric `weight` [N, 3].
-
-        The normals of back faces are turned round.
-        """
-        found = self._blank(len(number))
-        for which, here in self._by_shape(number):
-            self._fill(found, which, here, number[here] - self.first[which], weight[here], eye, is_back[here])
-        found.normal[is_back] *= -1.0
+    def attributes(self, eye: np.ndarray, hits: Hits) -> Attributes:
+        """What the points that were hit carry. The normals of back faces are turned round."""
+        found = self._blank(len(hits.number))
+        for which, here in self._by_shape(hits.number):
+            self._fill(found, which, here, eye, Hits(*(part[here] for part in hits)))
+        found.normal[hits.is_back] *= -1.0
         return found
 
     def _blank(self, count: int) -> Attributes:
@@ -127,56 +136,59 @@ class PlacedTriangles:
             for low in range(start, stop, _CHUNK):
                 yield which, order[low : min(low + _CHUNK, stop)]
 
-    def _fill(
-        self,
-        found: Attributes,
-        which: int,
-        here: np.ndarray,
-        row: np.ndarray,
-        weight: np.ndarray,
-        eye: np.ndarray,
-        is_back: np.ndarray,
-    ) -> None:
-        """Samples `here`, all on shape `which`, in its triangles `row`."""
-        placed, triangles = self.scene.document.shapes[which], self.triangles[which]
-        to_world = placed.to_world
-        weight = weight[:, ::-1] if mirrors(to_world) else weight
-        found.position[here] = apply_to_points(to_world, _interpolated(weight, triangles.position, row))
-        found.normal[here] = apply_to_normals(to_world, _interpolated(weight, triangles.normal, row))
-        if triangles.quadric is not None and triangles.curved is not None:
-            on_it = triangles.curved[row]
-            curved = here[on_it]
-            found.position[curved], found.normal[curved] = onto_quadric(
-                triangles.quadric, to_world, eye, found.position[curved], is_back[on_it]
-            )
-        if found.color is not None and triangles.color is not None:
-            found.color[here, : triangles.color.shape[2]] = _interpolated(weight, triangles.color, row)
-        texture = self.scene.surfaces[placed.surface].texture
-        if texture >= 0 and found.texel_index is not None and found.texel_weight is not None:
-            node = self.scene.document.textures[texture]
-            assert node.image is not None  # a texture without an image is no texture of the scene
-            found.texel_index[here], found.texel_weight[here] = bilinear_texels(
-                _interpolated(weight, triangles.texcoord, row),
-                node.image.shape[1],
-                node.image.shape[0],
-                repeat_s=node.repeat_s,
-                repeat_t=node.repeat_t,
-            )
+    def _fill(self, found: Attributes, which: int, here: np.ndarray, eye: np.ndarray, hits: Hits) -> None:
+        """Samples `here`, all on shape `which`."""
+        placed, own = self.scene.document.shapes[which], self.geometry[which]
+        is_textured = self.scene.surfaces[placed.surface].texture >= 0
+        number = hits.number - self.first[which]
+        if isinstance(own, Primitive):
+            for face_number, face in enumerate(own.faces):
+                on_it = np.flatnonzero(number // 2 == face_number)
+                unit_to_world = own.unit_to(placed.to_world)
+                inverse = np.linalg.inv(unit_to_world[:, :3])
+                ray = hits.ray[on_it] @ inverse.T
+                unit = face.onto(inverse @ (eye - unit_to_world[:, 3]) + ray, ray, hits.is_back[on_it])
+                found.position[here[on_it]] = apply_to_points(unit_to_world, unit)
+                normal = face.gradient(unit) @ inverse
+                found.normal[here[on_it]] = normal / np.hypot.reduce(normal, axis=1)[:, None]
+                if is_textured:
+                    self._fill_texels(found, placed, here[on_it], texture_transformed(face.texcoord(unit), placed.node))
+            return
+        weight = hits.weight[:, ::-1] if mirrors(placed.to_world) else hits.weight
+        found.position[here] = apply_to_points(placed.to_world, _interpolated(weight, own.position, number))
+        found.normal[here] = apply_to_normals(placed.to_world, _interpolated(weight, own.normal, number))
+        if found.color is not None and own.color is not None:
+            found.color[here, : own.color.shape[2]] = _interpolated(weight, own.color, number)
+        if is_textured:
+            self._fill_texels(found, placed, here, _interpolated(weight, own.texcoord, number))
+
+    def _fill_texels(self, found: Attributes, placed: PlacedShape, here: np.ndarray, texcoord: np.ndarray) -> None:
+        node = self.scene.document.textures[self.scene.surfaces[placed.surface].texture]
+        assert node.image is not None and found.texel_index is not None and found.texel_weight is not None
+        found.texel_index[here], found.texel_weight[here] = bilinear_texels(
+            texcoord, node.image.shape[1], node.image.shape[0], repeat_s=node.repeat_s, repeat_t=node.repeat_t
+        )
 
 
-def _segments(placed: PlacedShape, camera: Camera, width: int, height: int) -> int:
-    """How finely a curved primitive must be cut, from its size in the picture."""
-    match placed.node.geometry:
-        case nodes.Sphere(radius=radius):
-            extent = radius
-        case nodes.Cylinder(radius=radius, height=length) | nodes.Cone(bottom_radius=radius, height=length):
-            extent = math.hypot(radius, length / 2)
-        case _:
-            return SEGMENTS
-    largest = float(np.linalg.norm(placed.to_world[:, :3], 2))
-    distance = float(np.linalg.norm(placed.to_world[:, 3] - camera.position)) - extent * largest
-    pixels_per_radian = 1 / np.abs(np.diag(camera.pixel_to_camera(width, height))[:2]).min()
-    return segments_for(pixels_per_radian * radius * largest / max(distance, 1e-3 * radius * largest))
+def _to_camera(camera: Camera) -> np.ndarray:
+    """[3, 4], the world to camera axes, relative to the eye."""
+    turn = camera.rotation.T
+    return np.hstack([turn, -(turn @ camera.position)[:, None]])
+
+
+def _seen_corners(position: np.ndarray, placed: PlacedShape, camera: Camera) -> np.ndarray:
+    """[3 corners, 3 axes, T], triangles in camera axes, relative to the eye, counterclockwise in front.
+
+    Term by term: equal corners give bitwise equal results wherever they stand, which a blocked matrix product does not
+    promise, and without which a hair's breadth could open between triangles.
+    """
+    world = [
+        _row_times(row, position) + shift - eye
+        for row, shift, eye in zip(placed.to_world[:, :3], placed.to_world[:, 3], camera.position, strict=True)
+    ]
+    seen = np.stack([sum(m * w for m, w in zip(axis, world, strict=True)) for axis in camera.rotation.T])
+    corners = np.moveaxis(seen, 2, 0)
+    return corners[::-1] if mirrors(placed.to_world) else corners
 
 
 def _interpolated(weight: np.ndarray, values: np.ndarray, row: np.ndarray) -> np.ndarray:

@@ -1,47 +1,67 @@
-"""Samples on flat triangles -> on the curved surface that the triangles stand for."""
+"""The curved surfaces of primitives and their flat ends, exactly: where rays meet them, normals, how far they reach.
+
+A face is a part of axes . (p - center)^2 + tilt (p_y - center_y) = level, in the coordinates of the unit primitive. A
+ray start + t d, seen from `center`, meets the whole surface where a t^2 + 2 b t + c = 0. It enters where a t + b is
+minus the square root of the discriminant, and leaves where it is plus that, whichever comes first.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
+
 import numpy as np
 
-from ..scene.transforms import apply_to_normals, apply_to_points
-from .triangles import Quadric
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Face:
+    """One face of a primitive, in the coordinates of the unit primitive. The gradient points outwards."""
+
+    axes: tuple[float, float, float]
+    center: tuple[float, float, float]
+    level: float
+    hull: tuple[tuple[float, tuple[float, float, float]], ...]
+    """Ellipsoids whose convex hull just holds the face: the y of each one's centre, and its half axes."""
+    texcoord: Callable[[np.ndarray], np.ndarray]
+    """Points on the face [N, 3] -> texture coordinates [N, 2] (X3D 13.3)."""
+    tilt: float = 0.0
+    """Of a plane across y; `axes` are 0 then."""
+    lowest: float = -np.inf
+    highest: float = np.inf
+    """How far along y the face reaches."""
+    radius: float = np.inf
+    """How far from the y axis."""
+
+    def bounds(self, to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest coordinates [3] of the face, mapped by [3, 4]."""
+        ends = []
+        for y, half_axes in self.hull:
+            middle, reach = to_world[:, 3] + to_world[:, 1] * y, np.hypot.reduce(to_world[:, :3] * half_axes, axis=1)
+            ends += [middle - reach, middle + reach]
+        return np.min(ends, axis=0), np.max(ends, axis=0)
+
+    def gradient(self, points: np.ndarray) -> np.ndarray:
+        """Points [N, 3] -> outward normals [N, 3] of any length; along y at the apex of a cone, which has none."""
+        gradient = np.asarray(self.axes) * (points - self.center) + np.array([0.0, self.tilt / 2, 0.0])
+        return np.where(gradient.any(axis=1, keepdims=True), gradient, [0.0, 1.0, 0.0])
+
+    def onto(self, start: np.ndarray, along: np.ndarray, is_back: np.ndarray) -> np.ndarray:
+        """Points [N, 3] that lie on the face but for rounding, moved along their rays [N, 3] onto its surface,
+        and not out of the unit cube."""
+        axes, here = np.asarray(self.axes), start - self.center
+        with np.errstate(over="ignore", invalid="ignore"):
+            a = (along * axes * along).sum(axis=1)
+            b = (along * axes * here).sum(axis=1) + self.tilt / 2 * along[:, 1]
+            c = (here * axes * here).sum(axis=1) + self.tilt * here[:, 1] - self.level
+            step = root(a, b, c, np.maximum(b * b - a * c, 0.0), is_back)
+        return np.clip(start + np.where(np.isfinite(step), step, 0.0)[:, None] * along, -1.0, 1.0)
 
 
-def onto_quadric(
-    quadric: Quadric, to_world: np.ndarray, eye: np.ndarray, position: np.ndarray, is_back: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Where the rays through `position` enter the quadric, or leave it where its back is seen, and its outward normal.
+def root(a: np.ndarray, b: np.ndarray, c: np.ndarray, discriminant: np.ndarray, is_back: np.ndarray) -> np.ndarray:
+    """t where a t^2 + 2 b t + c = 0 and a t + b is the root of the discriminant (>= 0), minus that unless `is_back`.
 
-    With p = eye + t d and q(p) = axes . (p - center)^2 - level, t solves a quadratic; t = 1 is `position`. Rays that
-    meet the quadric so only beyond its ends go to the nearer root; those that miss it by rounding go to where they come
-    nearest to it.
-
-    Args:
-        quadric: in the shape's coordinates.
-        to_world: [3, 4], the shape's coordinates to the world.
-        eye: [3], world space.
-        position: [N, 3], world space.
-        is_back: [N], True where the triangle is seen from inside the quadric.
-
-    Returns:
-        positions and normals (any length) [N, 3], world space.
+    Without cancellation; infinite or NaN where there is none.
     """
-    inverse = np.linalg.inv(to_world[:, :3])
-    axes, center = np.asarray(quadric.axes), np.asarray(quadric.center)
-    start = inverse @ (eye - to_world[:, 3]) - center
-    along = (position - eye) @ inverse.T
-    # Around t = 1, where the numbers are small: q = a s^2 + 2 b s + c with s = t - 1.
-    here = start + along
-    a = (along * axes * along).sum(axis=1)
-    b = (along * axes * here).sum(axis=1)
-    c = (here * axes * here).sum(axis=1) - quadric.level
-    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-    # Both roots without cancellation: c / divisor is the nearer one, where q rises if b does.
-    divisor = -(b + np.where(b >= 0, root, -root))
-    step = np.divide(c, divisor, out=np.zeros_like(c), where=divisor != 0)
-    other = np.divide(divisor, a, out=step.copy(), where=((b >= 0) != is_back) & (root > 0) & (a != 0))
-    height = here[:, 1] + other * along[:, 1] + center[1]
-    step = np.where((quadric.low <= height) & (height <= quadric.high), other, step)
-    local = here + step[:, None] * along + center
-    return apply_to_points(to_world, local), apply_to_normals(to_world, (local - center) * axes)
+    rise = np.where(is_back, 1.0, -1.0) * np.sqrt(discriminant)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return np.where(rise * b <= 0, (rise - b) / a, -c / (rise + b))

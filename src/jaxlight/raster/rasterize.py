@@ -9,10 +9,12 @@ import numpy as np
 
 from ..scene import Scene, nodes
 from .camera import Camera
+from .depth_buffer import rows_of
+from .face_depth import PreparedFaces
 from .pattern import morton, sample_pattern
-from .placed import PlacedTriangles
+from .placed import Hits, PlacedShapes
 from .samples import MANY_LIGHTS, SampleBuffer
-from .visibility import barycentric, first_hits
+from .visibility import Prepared, barycentric, first_hits
 
 MAX_SIDE = 1 << 15
 MAX_PICTURE_SAMPLES = 1 << 26
@@ -31,8 +33,8 @@ def rasterize(
     """The visible surface points of a scene, one a ray: first hit, exact in float64; background left out.
 
     Back faces are not seen where `solid` is TRUE; elsewhere their normals are turned round. Transparent shapes hide
-    what is behind them (one layer). Spheres, cylinders and cones have their exact surface and normals, within an
-    outline that is true to 1/16 pixel.
+    what is behind them (one layer). Spheres, cylinders and cones are exact: outline, surface, normals and texture
+    coordinates.
 
     Args:
         scene: the scene.
@@ -46,8 +48,8 @@ def rasterize(
         buffer are neighbours in the picture (under many lights: in space). `pixel` counts row by row from the top left.
 
     Raises:
-        ValueError: a size that is not a whole number in range, a geometry with a bad index, too many triangles (more
-            than 2^25 of all placed shapes together).
+        ValueError: a size that is not a whole number in range, a geometry with a bad index, one that lies farther from
+            the origin than 1e100, too many triangles (more than 2^25 of all placed shapes together).
 
     Warns:
         UserWarning: nothing is seen, or the scene has no geometry; the buffer then has no samples.
@@ -57,22 +59,17 @@ def rasterize(
     width, height = _size(width, height, samples)
     offsets = sample_pattern(samples)
     camera = _camera(scene, camera)
-    placed = PlacedTriangles.of(scene, camera, width, height)
-    prepared = placed.prepared(camera, width, height)
-    hits = [_Hits.of(*first_hits(prepared, width, height, offset), width, offset) for offset in offsets.tolist()]
-    seen = _Hits(*(np.concatenate(parts) for parts in zip(*hits, strict=True)))
-    surface = placed.surface_of(prepared.number[seen.row])
+    placed = PlacedShapes.of(scene)
+    triangles, faces = placed.prepared(camera, width, height)
+    seen = _Seen.joined([_seen(triangles, faces, width, height, offset) for offset in offsets.tolist()])
+    surface = placed.surface_of(seen.number)
     order = np.lexsort((morton(seen.x, seen.y), surface))
-    seen = _Hits(*(part[order] for part in seen))
+    seen = _Seen(*(part[order] for part in seen))
     if len(order) == 0:
         reason = "the camera sees no surface" if placed.first[-1] else "no shape of the scene has geometry"
         warnings.warn(f"rasterize: {reason}; the picture is all background", stacklevel=2)
-    attributes = placed.attributes(
-        camera.position,
-        prepared.number[seen.row],
-        barycentric(prepared, seen.row, seen.u, seen.v),
-        prepared.is_back[seen.row],
-    )
+    pixel_to_world = camera.pixel_to_world(width, height)
+    attributes = placed.attributes(camera.position, _hits(triangles, faces, seen, pixel_to_world))
     return SampleBuffer.create(
         **attributes._asdict(),
         eye=camera.position,
@@ -82,25 +79,43 @@ def rasterize(
         width=width,
         height=height,
         camera_to_world=camera.rotation,
-        pixel_to_world=camera.pixel_to_world(width, height),
+        pixel_to_world=pixel_to_world,
         by_place=any(lights is not None and len(lights.names) >= MANY_LIGHTS for lights in (scene.point, scene.spot)),
         dtype=dtype,
     )
 
 
-class _Hits(NamedTuple):
-    """Rays that meet a surface: pixel column and row, place in the picture, row of the triangle."""
+class _Seen(NamedTuple):
+    """Rays that meet something: pixel column and row, place in the picture, number and depth of what is met."""
 
     x: np.ndarray
     y: np.ndarray
     u: np.ndarray
     v: np.ndarray
-    row: np.ndarray
+    number: np.ndarray
+    depth: np.ndarray
 
     @classmethod
-    def of(cls, pixel: np.ndarray, row: np.ndarray, width: int, offset: list[float]) -> _Hits:
-        y, x = np.divmod(pixel, width)
-        return cls(x, y, x + offset[0], y + offset[1], row)
+    def joined(cls, parts: list[_Seen]) -> _Seen:
+        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def _seen(triangles: Prepared, faces: PreparedFaces | None, width: int, height: int, offset: list[float]) -> _Seen:
+    pixel, number, depth = first_hits(triangles, faces, width, height, (offset[0], offset[1]))
+    y, x = np.divmod(pixel, width)
+    return _Seen(x, y, x + offset[0], y + offset[1], number, depth)
+
+
+def _hits(triangles: Prepared, faces: PreparedFaces | None, seen: _Seen, pixel_to_world: np.ndarray) -> Hits:
+    row = rows_of(triangles.number, seen.number)
+    on_triangle = row >= 0
+    weight, is_back = np.zeros((len(row), 3)), np.zeros(len(row), dtype=bool)
+    weight[on_triangle] = barycentric(triangles, row[on_triangle], seen.u[on_triangle], seen.v[on_triangle])
+    is_back[on_triangle] = triangles.is_back[row[on_triangle]]
+    if faces is not None:
+        is_back[~on_triangle] = faces.is_back[rows_of(faces.number, seen.number[~on_triangle])]
+    direction = np.stack([seen.u, seen.v, np.ones_like(seen.u)], axis=1) @ pixel_to_world.T
+    return Hits(seen.number, seen.depth[:, None] * direction, weight, is_back)
 
 
 def _camera(scene: Scene, camera: Camera | nodes.Viewpoint | None) -> Camera:

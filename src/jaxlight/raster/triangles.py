@@ -1,25 +1,10 @@
-"""Triangles of one shape, in its own coordinates: what every geometry node becomes."""
+"""Triangles of one shape, in its own coordinates: what most geometry nodes become."""
 
 from __future__ import annotations
 
 import dataclasses
 
 import numpy as np
-
-
-@dataclasses.dataclass(frozen=True)
-class Quadric:
-    """The surface that curved triangles stand for: axes . (p - center)^2 = level, in the shape's coordinates.
-
-    Its gradient, axes * (p - center), points outwards.
-    """
-
-    axes: tuple[float, float, float]
-    center: tuple[float, float, float]
-    level: float
-    low: float = -np.inf
-    high: float = np.inf
-    """How far along y the surface reaches."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,10 +19,6 @@ class Triangles:
     """[T, 3 corners, 2]."""
     color: np.ndarray | None = None
     """[T, 3 corners, 3 or 4], or None."""
-    quadric: Quadric | None = None
-    """Exact surface of the triangles marked in `curved`."""
-    curved: np.ndarray | None = None
-    """[T], True where a triangle approximates `quadric`."""
 
     def __len__(self) -> int:
         return len(self.position)
@@ -49,8 +30,6 @@ class Triangles:
             self.normal[keep],
             self.texcoord[keep],
             None if self.color is None else self.color[keep],
-            self.quadric,
-            None if self.curved is None else self.curved[keep],
         )
 
     def without_degenerate(self) -> Triangles:

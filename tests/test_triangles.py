@@ -1,4 +1,5 @@
-"""Geometry nodes as triangles: areas, orientation, normals, texture mapping, attributes, errors."""
+"""Geometry nodes as triangles: areas, orientation, normals, texture mapping, attributes, errors. (For curved ones see
+test_primitives.py.)"""
 
 from __future__ import annotations
 
@@ -9,14 +10,15 @@ import pytest
 
 from counted_work import at_most_calls
 from jaxlight import nodes
-from jaxlight.raster import Triangles, tessellate
+from jaxlight.raster import Triangles, geometry_of
 from jaxlight.raster.polygons import MAX_CONCAVE_CORNERS
-from jaxlight.raster.tessellate import segments_for
 
 
-def triangles_of(geometry: nodes.Node, name: str = "", segments: int = 64, **appearance: object) -> Triangles:
+def triangles_of(geometry: nodes.Node | None, name: str = "", **appearance: object) -> Triangles:
     look = nodes.Appearance(**appearance) if appearance else None
-    return tessellate(nodes.Shape(geometry=geometry, appearance=look, name=name), segments)
+    triangles = geometry_of(nodes.Shape(geometry=geometry, appearance=look, name=name))
+    assert isinstance(triangles, Triangles)
+    return triangles
 
 
 def area_vectors(triangles: Triangles) -> np.ndarray:
@@ -29,43 +31,12 @@ def volume(triangles: Triangles) -> float:
     return float(np.einsum("ij,ij->", area_vectors(triangles), triangles.position.mean(axis=1)) / 3)
 
 
-@pytest.mark.parametrize(
-    ("geometry", "exact"),
-    [
-        (nodes.Box(size=(1, 2, 3)), 6.0),
-        (nodes.Sphere(radius=2), 4 / 3 * math.pi * 8),
-        (nodes.Cylinder(radius=2, height=3), math.pi * 12),
-        (nodes.Cone(bottom_radius=2, height=3), math.pi * 4),
-    ],
-    ids=lambda value: type(value).__name__,
-)
-def test_primitives_are_closed_outside_out_and_of_the_right_volume(geometry: nodes.Node, exact: float) -> None:
-    triangles = triangles_of(geometry, segments=512)
-    # An inscribed n-gon has sin(x) / x of the circle's area, x = 2 pi / n; for the sphere in both directions.
-    lost = 0 if isinstance(geometry, nodes.Box) else 3 * (2 * math.pi / 512) ** 2 / 6
-    assert (1 - lost) * exact * (1 - 1e-12) <= volume(triangles) <= exact * (1 + 1e-12)
+def test_a_box_is_closed_outside_out_and_of_the_right_volume() -> None:
+    triangles = triangles_of(nodes.Box(size=(1, 2, 3)))
+    np.testing.assert_allclose(volume(triangles), 6, rtol=1e-12)
     # Closed: the area vectors of a closed surface cancel.
-    np.testing.assert_allclose(area_vectors(triangles).sum(axis=0), 0, atol=1e-12 * exact)
-    outwards = np.einsum("ij,ikj->ik", area_vectors(triangles), triangles.normal)
-    assert np.all(outwards > 0)
-
-
-def test_corner_normals_of_curved_primitives_are_exact() -> None:
-    sphere = triangles_of(nodes.Sphere(radius=3), segments=24)
-    np.testing.assert_allclose(sphere.normal * 3, sphere.position, atol=1e-15)
-    cylinder = triangles_of(nodes.Cylinder(radius=2, top=False, bottom=False), segments=24)
-    np.testing.assert_allclose(cylinder.normal * 2, cylinder.position * [1, 0, 1], atol=1e-15)
-    cone = triangles_of(nodes.Cone(bottom_radius=2, height=3, bottom=False), segments=24)
-    at_rim = cone.position[..., 1] < 0
-    slope = np.einsum("ij,ij->i", cone.normal[at_rim], cone.position[at_rim] - [0, 1.5, 0])
-    np.testing.assert_allclose(slope, 0, atol=1e-14)  # perpendicular to the line to the apex
-
-
-def test_the_parts_of_primitives_that_are_switched_off_are_missing() -> None:
-    full = len(triangles_of(nodes.Cylinder()))
-    assert len(triangles_of(nodes.Cylinder(top=False))) == full - 64
-    assert len(triangles_of(nodes.Cylinder(side=False))) == 128
-    assert len(triangles_of(nodes.Cone(side=False, bottom=False))) == 0
+    np.testing.assert_allclose(area_vectors(triangles).sum(axis=0), 0, atol=1e-12)
+    assert np.all(np.einsum("ij,ikj->ik", area_vectors(triangles), triangles.normal) > 0)
 
 
 def texcoord_at(
@@ -96,27 +67,6 @@ def test_the_texture_stands_upright_on_each_face_of_a_box(normal: tuple, low_lef
     box = triangles_of(nodes.Box())
     np.testing.assert_allclose(texcoord_at(box, low_left, normal), (0, 0))
     np.testing.assert_allclose(texcoord_at(box, up_right, normal), (1, 1))
-
-
-def test_textures_wrap_round_primitives_from_the_back_counterclockwise() -> None:
-    """X3D 13.3.2, 13.3.3, 13.3.7: the seam is at the back (-z), s grows by -x, +z, +x."""
-    for geometry, y, t in ((nodes.Sphere(), 0, 0.5), (nodes.Cylinder(), 1, 1.0), (nodes.Cone(), -1, 0.0)):
-        triangles = triangles_of(geometry)
-        assert triangles.curved is not None
-        on_side = triangles.curved[:, None]
-        for s, (x, z) in ((0.25, (-1, 0)), (0.5, (0, 1)), (0.75, (1, 0))):
-            there = on_side & (np.linalg.norm(triangles.position - np.array([x, y, z]), axis=2) < 1e-9)
-            np.testing.assert_allclose(triangles.texcoord[there], np.tile([s, t], (there.sum(), 1)), atol=1e-12)
-            assert there.any()
-
-
-def test_caps_show_the_disc_of_the_texture() -> None:
-    """X3D 13.3.3: the top upright with -z up, the bottom with +z up."""
-    cylinder = triangles_of(nodes.Cylinder(side=False))
-    np.testing.assert_allclose(texcoord_at(cylinder, (0, 1, -1), (0, 1, 0)), (0.5, 1))
-    np.testing.assert_allclose(texcoord_at(cylinder, (1, 1, 0), (0, 1, 0)), (1, 0.5))
-    np.testing.assert_allclose(texcoord_at(cylinder, (0, -1, 1), (0, -1, 0)), (0.5, 1))
-    np.testing.assert_allclose(texcoord_at(cylinder, (1, -1, 0), (0, -1, 0)), (1, 0.5))
 
 
 SQUARE = nodes.Coordinate(point=[(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
@@ -287,7 +237,7 @@ def test_faces_without_area_are_dropped() -> None:
     points = nodes.Coordinate(point=[(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0)])
     faces = nodes.IndexedFaceSet(coord=points, coord_index=[0, 1, 2, -1, 0, 0, 1, -1, 0, 1, -1, 0, 1, 3, -1])
     assert len(triangles_of(faces)) == 1
-    assert len(tessellate(nodes.Shape())) == 0
+    assert len(triangles_of(None)) == 0
 
 
 @pytest.mark.parametrize(
@@ -349,12 +299,3 @@ def test_faces_without_area_are_dropped() -> None:
 def test_bad_indices_name_the_shape_and_the_field(geometry: nodes.Node, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         triangles_of(geometry, "wall")
-
-
-def test_segments_keep_the_outline_true() -> None:
-    for radius in (3.0, 40.0, 900.0):
-        segments = segments_for(radius, tolerance=1 / 16)
-        assert radius * (1 - math.cos(math.pi / segments)) <= 1 / 16
-        assert segments % 8 == 0
-    assert segments_for(0.0) == 16
-    assert segments_for(1e9) == 512
