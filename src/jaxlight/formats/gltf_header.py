@@ -1,27 +1,71 @@
 """The JSON header of a binary glTF file: checked before trimesh reads the file, and the source of exact factors.
 
 trimesh rounds material colours to 8 bits and drops names that repeat, so materials are given their number as name.
+It reads neither samplers nor KHR_texture_transform, and of texture coordinates only the first set.
 """
 
 from __future__ import annotations
 
+import collections
+import dataclasses
 import json
+import math
 import struct
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .errors import SceneFileError
+from .mesh_materials import SPECULAR_GLOSSINESS
 from .notes import ReadNotes
 
 _JSON_CHUNK = 0x4E4F534A
 _SHARED = 4
 """Entries of accessors a byte of the file."""
-_KNOWN_EXTENSIONS = ("KHR_materials_", "KHR_texture_transform", "KHR_lights_punctual", "EXT_texture_webp")
+_TRANSFORM, _LIGHTS = "KHR_texture_transform", "KHR_lights_punctual"
+_UNLIT = "KHR_materials_unlit"
+_READ_EXTENSIONS = (_UNLIT, SPECULAR_GLOSSINESS, _TRANSFORM, "EXT_texture_webp")
 _UNUSED_TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")
+_CLAMP, _MIRROR, _FLOAT = 33071, 33648, 5126
 
 
-def numbered_materials(path: Path, data: bytes, notes: ReadNotes) -> tuple[bytes, list[dict[str, Any]]]:
+@dataclasses.dataclass(frozen=True)
+class GltfMaterial:
+    """A material as it stands in the header, and how its texture of the base colour lies on a mesh."""
+
+    description: dict[str, Any]
+    repeat_s: bool = True
+    repeat_t: bool = True
+    texture_transform: dict[str, Any] | None = None
+    """The KHR_texture_transform of the texture."""
+
+    @property
+    def is_unlit(self) -> bool:
+        """True if the material takes no light."""
+        return _UNLIT in self.description.get("extensions", {})
+
+    def texcoord(self, uv: np.ndarray) -> np.ndarray:
+        """Texture coordinates [n, 2] (t up) after KHR_texture_transform, which is stated for t down: T R S, S first.
+
+        X3D's TextureTransform has the other order, and does not hold a rotation of what was scaled unevenly.
+        """
+        if self.texture_transform is None:
+            return uv
+        turn = float(self.texture_transform.get("rotation", 0.0))
+        scale = np.asarray(self.texture_transform.get("scale", (1.0, 1.0)), dtype=np.float64)
+        offset = np.asarray(self.texture_transform.get("offset", (0.0, 0.0)), dtype=np.float64)
+        down = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1) * scale
+        # Counter-clockwise as seen, where t points down.
+        rotation = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+        s, t = (down @ rotation.T + offset).T
+        return np.stack([s, 1.0 - t], axis=1)
+
+
+def numbered_materials(path: Path, data: bytes, notes: ReadNotes) -> tuple[bytes, list[GltfMaterial]]:
     """The file with each material named by its number, and the materials as they stand in the header.
+
+    In the file the texture of a base colour is where trimesh looks for it, with its coordinates in the first set.
 
     Raises:
         SceneFileError: the header cannot be read, announces more numbers than a file can hold, or needs an extension
@@ -34,13 +78,12 @@ def numbered_materials(path: Path, data: bytes, notes: ReadNotes) -> tuple[bytes
         raise SceneFileError(path, None, "not a glTF 2 binary file, or truncated in its header")
     try:
         header = json.loads(data[20 : 20 + length])
-        materials = _materials(path, header, len(data), notes)
-    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
+        _check(path, header, len(data), notes)
+        materials = _simplified_materials(path, header, notes)
+    except (ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError) as error:
         if isinstance(error, SceneFileError):
             raise
         raise SceneFileError(path, None, f"malformed glTF header: {type(error).__name__}: {error}") from None
-    if materials:
-        header["materials"] = [{**material, "name": str(row)} for row, material in enumerate(materials)]
     chunk = json.dumps(header).encode()
     chunk += b" " * (-len(chunk) % 4)
     rest = data[20 + length :]
@@ -48,10 +91,12 @@ def numbered_materials(path: Path, data: bytes, notes: ReadNotes) -> tuple[bytes
     return head + chunk + rest, materials
 
 
-def _materials(path: Path, header: dict[str, Any], size: int, notes: ReadNotes) -> list[dict[str, Any]]:
+def _check(path: Path, header: dict[str, Any], size: int, notes: ReadNotes) -> None:
+    """Refuse what cannot be read, and note what is not."""
     for name in header.get("extensionsRequired", []):
-        if not str(name).startswith(_KNOWN_EXTENSIONS):
-            raise SceneFileError(path, None, f"needs the glTF extension {name}, which jaxlight does not read")
+        if name not in _READ_EXTENSIONS:
+            message = f"needs the glTF extension {name}, which jaxlight does not read; it reads"
+            raise SceneFileError(path, None, f"{message} {', '.join(_READ_EXTENSIONS)}")
     counts = [int(accessor["count"]) for accessor in header.get("accessors", [])]
     for row, count in enumerate(counts):
         if count < 0:
@@ -62,13 +107,62 @@ def _materials(path: Path, header: dict[str, Any], size: int, notes: ReadNotes) 
     for kind in ("animations", "skins", "cameras"):
         if header.get(kind):
             notes.skipped[f"glTF {kind}"] += len(header[kind])
-    lights = header.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
+    lights = header.get("extensions", {}).get(_LIGHTS, {}).get("lights", [])
     if lights:
         notes.skipped["glTF lights"] += len(lights)
-    materials = list(header.get("materials", []))
-    for material in materials:
-        pbr = material.get("pbrMetallicRoughness", {})
-        for texture in (*_UNUSED_TEXTURES, "metallicRoughnessTexture"):
-            if texture in material or texture in pbr:
+    used = collections.Counter(name for m in header.get("materials", []) for name in m.get("extensions", {}))
+    used.update(name for name in header.get("extensionsUsed", []) if name not in used)
+    for name, count in used.items():
+        if name not in (*_READ_EXTENSIONS, _LIGHTS):
+            notes.unused[f"glTF {name}"] += count
+
+
+def _simplified_materials(path: Path, header: dict[str, Any], notes: ReadNotes) -> list[GltfMaterial]:
+    """The materials; what stands in their place in the header has only what trimesh is to read."""
+    materials: list[GltfMaterial] = []
+    for row, description in enumerate(list(header.get("materials", []))):
+        pbr = description.get("pbrMetallicRoughness", {})
+        glossy = description.get("extensions", {}).get(SPECULAR_GLOSSINESS, {})
+        for texture in (*_UNUSED_TEXTURES, "metallicRoughnessTexture", "specularGlossinessTexture"):
+            if texture in description or texture in pbr or texture in glossy:
                 notes.unused[f"glTF {texture}"] += 1
+        material = GltfMaterial(description)
+        use = pbr.get("baseColorTexture")
+        if SPECULAR_GLOSSINESS in description.get("extensions", {}) and not material.is_unlit:
+            use = glossy.get("diffuseTexture")
+        header["materials"][row] = {"name": str(row)}
+        if use is not None:
+            header["materials"][row]["pbrMetallicRoughness"] = {"baseColorTexture": {"index": use["index"]}}
+            materials.append(_textured(path, header, row, material, use, notes))
+        else:
+            materials.append(material)
     return materials
+
+
+def _textured(
+    path: Path, header: dict[str, Any], row: int, material: GltfMaterial, use: dict[str, Any], notes: ReadNotes
+) -> GltfMaterial:
+    """The material with what its use of a texture says; its set of coordinates becomes the first of its meshes."""
+    transform = use.get("extensions", {}).get(_TRANSFORM)
+    which = int((transform or {}).get("texCoord", use.get("texCoord", 0)))
+    name = f"TEXCOORD_{which}"
+    for primitive in (p for mesh in header.get("meshes", []) for p in mesh["primitives"] if p.get("material") == row):
+        attributes = primitive["attributes"]
+        if name not in attributes:
+            if which == 0:
+                continue
+            raise SceneFileError(path, None, f"glTF material {row} needs {name}, which a mesh has not")
+        if header["accessors"][attributes[name]]["componentType"] != _FLOAT:
+            raise SceneFileError(path, None, f"glTF material {row} has a {name} of integers; jaxlight reads floats")
+        primitive["attributes"] = {**attributes, "TEXCOORD_0": attributes[name]}
+    sampler = header["textures"][use["index"]].get("sampler")
+    wraps = header["samplers"][sampler] if sampler is not None else {}
+    for wrap in ("wrapS", "wrapT"):
+        if wraps.get(wrap) == _MIRROR:
+            notes.unused[f"glTF {wrap} MIRRORED_REPEAT (read as REPEAT)"] += 1
+    return dataclasses.replace(
+        material,
+        repeat_s=wraps.get("wrapS") != _CLAMP,
+        repeat_t=wraps.get("wrapT") != _CLAMP,
+        texture_transform=transform,
+    )

@@ -12,6 +12,8 @@ _MAX_EXPONENT = 128.0
 """X3D's shininess 1 (17.2.2.4)."""
 _DIELECTRIC = 0.04
 """Reflectance of a dielectric seen straight on, as glTF assumes."""
+SPECULAR_GLOSSINESS = "KHR_materials_pbrSpecularGlossiness"
+"""The glTF extension that describes a material by its diffuse and specular colour and its glossiness."""
 
 
 def material_from_mtl(name: str, values: dict[str, Any], glossiness: float) -> Material:
@@ -45,11 +47,13 @@ def material_from_mtl(name: str, values: dict[str, Any], glossiness: float) -> M
 
 
 def material_from_gltf(name: str, description: dict[str, Any], *, see_through: bool) -> Material:
-    """The X3D material of a glTF metallic-roughness material.
+    """The X3D material of a glTF metallic-roughness or specular-glossiness material.
 
     With base colour b, metallic m, roughness r and F0 = 0.04 (1 - m) + b m, the exponent is n = 2 / r^4 - 2 in
     [0, 128] (the Blinn-Phong lobe as wide as the microfacets') and shininess = n / 128;
     specularColor = F0 (1 - r) (n + 8) / 8, the lobe's height; diffuseColor = b (1 - m (1 - r)): rough metal scatters.
+    With KHR_materials_pbrSpecularGlossiness (diffuse d, specular f, glossiness g) the same lobe has F0 = f, r = 1 - g,
+    and diffuseColor = d (1 - max(f)) + f r.
     emissiveColor = emissiveFactor. Everything is clipped to [0, 1]; the numbers stay linear, as they are in the file.
 
     Args:
@@ -57,16 +61,24 @@ def material_from_gltf(name: str, description: dict[str, Any], *, see_through: b
         description: the material of the glTF header.
         see_through: alphaMode is not OPAQUE: transparency = 1 - alpha.
     """
-    factors = description.get("pbrMetallicRoughness", {})
-    base = np.asarray(factors.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0)), dtype=np.float64)
-    metallic = float(factors.get("metallicFactor", 1.0))
-    roughness = float(np.clip(factors.get("roughnessFactor", 1.0), 0.0, 1.0))
+    glossy = description.get("extensions", {}).get(SPECULAR_GLOSSINESS)
+    if glossy is None:
+        factors = description.get("pbrMetallicRoughness", {})
+        base = np.asarray(factors.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0)), dtype=np.float64)
+        metallic = float(factors.get("metallicFactor", 1.0))
+        roughness = float(np.clip(factors.get("roughnessFactor", 1.0), 0.0, 1.0))
+        straight_on = _DIELECTRIC * (1.0 - metallic) + base[:3] * metallic
+        diffuse = base[:3] * (1.0 - metallic * (1.0 - roughness))
+    else:
+        base = np.asarray(glossy.get("diffuseFactor", (1.0, 1.0, 1.0, 1.0)), dtype=np.float64)
+        roughness = 1.0 - float(np.clip(glossy.get("glossinessFactor", 1.0), 0.0, 1.0))
+        straight_on = np.asarray(glossy.get("specularFactor", (1.0, 1.0, 1.0)), dtype=np.float64)
+        diffuse = base[:3] * (1.0 - straight_on.max()) + straight_on * roughness
     exponent = float(np.clip(2.0 / max(roughness, 1e-3) ** 4 - 2.0, 0.0, _MAX_EXPONENT))
-    straight_on = _DIELECTRIC * (1.0 - metallic) + base[:3] * metallic
     return _material(
         name,
         ambient_intensity=0.2,
-        diffuse_color=base[:3] * (1.0 - metallic * (1.0 - roughness)),
+        diffuse_color=diffuse,
         emissive_color=np.asarray(description.get("emissiveFactor", (0.0, 0.0, 0.0)), dtype=np.float64),
         shininess=exponent / _MAX_EXPONENT,
         specular_color=straight_on * (1.0 - roughness) * (exponent + 8.0) / 8.0,

@@ -21,15 +21,18 @@ from ..scene import nodes
 from .encodings import Format
 from .errors import SceneFileError
 from .folder import ResourceFolder
-from .gltf_header import numbered_materials
+from .gltf_header import GltfMaterial, numbered_materials
 from .limits import read_bounded
 from .mesh_graph import nested_transforms
+from .mesh_lengths import checked_ply, checked_stl
 from .mesh_materials import material_from_gltf, material_from_mtl, unlit_material_from_gltf
 from .notes import ReadNotes
+from .obj_text import checked_obj
 from .x3d_checks import check_indices
 from .x3d_textures import TextureReader
 
-_INDEX_0 = re.compile(rb"^[ \t]*f(?:[ \t]+\S+)*?[ \t]+0+(?=[/\s]|\Z)", re.MULTILINE)
+_FACES_TEXCOORD = re.compile(rb"^property[ \t]+list[ \t]+\S+[ \t]+\S+[ \t]+texcoord\b", re.MULTILINE)
+"""What ply calls texture coordinates that stand with faces."""
 CREASE_ANGLE = np.pi / 3
 """Radians. Meshes without normals are smooth up to this angle between faces: curved surfaces are, boxes are not."""
 
@@ -40,16 +43,22 @@ def read_mesh(path: Path, data: bytes, file_format: Format) -> tuple[tuple[nodes
     Raises:
         SceneFileError: the file cannot be read, holds no triangles, or has indices or numbers out of range.
     """
-    if file_format == "obj" and (zero := _INDEX_0.search(data)):
-        raise SceneFileError(path, data.count(b"\n", 0, zero.start()) + 1, "a face has the index 0; they count from 1")
     notes = ReadNotes()
-    materials: list[dict[str, Any]] = []
-    if file_format == "glb":
-        data, materials = numbered_materials(path, data, notes)
-    resolver = _FolderResolver(path, notes)
+    materials: list[GltfMaterial] = []
+    options: dict[str, Any] = {"file_type": file_format, "resolver": _FolderResolver(path, notes), "process": False}
     try:
+        if file_format == "glb":
+            data, materials = numbered_materials(path, data, notes)
+        elif file_format == "obj":
+            data = checked_obj(path, data, notes)
+        elif file_format == "stl":
+            data = checked_stl(path, data)
+        elif file_format == "ply":
+            checked_ply(path, data)
+            # Vertices need to be repeated only for what stands with faces; repeated ones lose colours and normals.
+            options["fix_texture"] = bool(_FACES_TEXCOORD.search(data))
         with _heard(notes):
-            loaded = trimesh.load_scene(io.BytesIO(data), file_type=file_format, resolver=resolver, process=False)
+            loaded = trimesh.load_scene(io.BytesIO(data), **options)
             builder = _MeshBuilder(path, notes, loaded, materials, is_gltf=file_format == "glb")
             children = nested_transforms(str(loaded.graph.base_frame), loaded.graph.to_edgelist(), builder.shape)
     except SceneFileError:
@@ -65,7 +74,7 @@ class _MeshBuilder:
     """Makes one Shape a geometry of a trimesh scene; materials and textures that several use are one node."""
 
     def __init__(
-        self, path: Path, notes: ReadNotes, scene: Any, gltf_materials: list[dict[str, Any]], *, is_gltf: bool
+        self, path: Path, notes: ReadNotes, scene: Any, gltf_materials: list[GltfMaterial], *, is_gltf: bool
     ) -> None:
         self._path = path
         self._notes = notes
@@ -78,8 +87,8 @@ class _MeshBuilder:
         """By identity of the material, and whether it is unlit on a mesh with colours: then it must not hide them."""
         self._pixels: dict[int, np.ndarray | None] = {}
         """By identity of the image; None if it cannot be had."""
-        self._image_nodes: dict[tuple[int, bool], nodes.ImageTexture] = {}
-        """By identity of the image, and whether its alpha is left out."""
+        self._image_nodes: dict[tuple[int, bool, bool, bool], nodes.ImageTexture] = {}
+        """By identity of the image, whether its alpha is left out, and whether it repeats along s and t."""
 
     def shape(self, name: str) -> nodes.Shape | None:
         """The Shape of the geometry with this name; None (and a note) for what has no triangles."""
@@ -87,7 +96,7 @@ class _MeshBuilder:
             mesh: Any = self._geometry[name]
             if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
                 appearance, solid = self._appearance(mesh)
-                geometry = _face_set(mesh, solid=solid)
+                geometry = _face_set(mesh, self._gltf_material(mesh), self._notes, solid=solid)
                 label = name if self._gltf else ""  # of other formats the name is made up
                 self._shapes[name] = nodes.Shape(appearance=appearance, geometry=geometry, name=label)
             else:
@@ -97,19 +106,24 @@ class _MeshBuilder:
 
     def _appearance(self, mesh: Any) -> tuple[nodes.Appearance, bool]:
         """The appearance, and whether only the front of the faces is to be seen (only glTF says so)."""
-        material = getattr(mesh.visual, "material", None) if mesh.visual.kind == "texture" else None
+        material = _material_of(mesh)
         if material is None or _is_stand_in(material):
             return nodes.Appearance(material=nodes.Material()), False
-        description = self._gltf_materials[int(material.name or 0)] if isinstance(material, PBRMaterial) else None
-        colored = description is not None and _is_unlit(description) and "color" in mesh.visual.vertex_attributes
+        described = self._gltf_material(mesh)
+        colored = described is not None and described.is_unlit and "color" in mesh.visual.vertex_attributes
         key = (id(material), colored)
         if key not in self._appearances:
             self._appearances[key] = (
                 (self._from_mtl(material), False)
-                if description is None
-                else self._from_gltf(material, description, colored=colored)
+                if described is None
+                else self._from_gltf(material, described, colored=colored)
             )
         return self._appearances[key]
+
+    def _gltf_material(self, mesh: Any) -> GltfMaterial | None:
+        """What the header says about the material of a mesh; None for other formats, and without a material."""
+        material = _material_of(mesh)
+        return self._gltf_materials[int(material.name or 0)] if isinstance(material, PBRMaterial) else None
 
     def _from_mtl(self, material: Any) -> nodes.Appearance:
         for key in material.kwargs:
@@ -118,25 +132,31 @@ class _MeshBuilder:
         node = material_from_mtl(material.name, material.kwargs, material.glossiness)
         return nodes.Appearance(material=node, texture=self._texture(material.image))
 
-    def _from_gltf(self, material: Any, description: dict[str, Any], *, colored: bool) -> tuple[nodes.Appearance, bool]:
+    def _from_gltf(self, material: Any, described: GltfMaterial, *, colored: bool) -> tuple[nodes.Appearance, bool]:
+        description = described.description
         name = str(description.get("name", ""))
         see_through = description.get("alphaMode", "OPAQUE") != "OPAQUE"
-        texture = self._texture(material.baseColorTexture, opaque=not see_through)
+        repeats = (described.repeat_s, described.repeat_t)
+        texture = self._texture(material.baseColorTexture, opaque=not see_through, repeats=repeats)
         node: nodes.Material | None = material_from_gltf(name, description, see_through=see_through)
-        if _is_unlit(description):
+        if described.is_unlit:
             node = None if colored or texture is not None else unlit_material_from_gltf(name, description)
         return nodes.Appearance(material=node, texture=texture), not description.get("doubleSided", False)
 
-    def _texture(self, image: Image.Image | None, *, opaque: bool = False) -> nodes.ImageTexture | None:
+    def _texture(
+        self, image: Image.Image | None, *, opaque: bool = False, repeats: tuple[bool, bool] = (True, True)
+    ) -> nodes.ImageTexture | None:
         """The texture of an image that trimesh opened; None (and a note) if it cannot be decoded."""
         pixels = None if image is None else self._pixels_of(image)
         if image is None or pixels is None:
             return None
-        key = (id(image), opaque)
+        key = (id(image), opaque, *repeats)
         if key not in self._image_nodes:
             shown = pixels[:, :, : pixels.shape[2] - 1] if opaque and pixels.shape[2] in (2, 4) else pixels
             url = _url_of(image)
-            self._image_nodes[key] = nodes.ImageTexture(image=shown, url=(url,) if url else ())
+            self._image_nodes[key] = nodes.ImageTexture(
+                image=shown, url=(url,) if url else (), repeat_s=repeats[0], repeat_t=repeats[1]
+            )
         return self._image_nodes[key]
 
     def _pixels_of(self, image: Image.Image) -> np.ndarray | None:
@@ -152,8 +172,8 @@ class _MeshBuilder:
         return self._pixels[id(image)]
 
 
-def _is_unlit(description: dict[str, Any]) -> bool:
-    return "KHR_materials_unlit" in description.get("extensions", {})
+def _material_of(mesh: Any) -> Any:
+    return getattr(mesh.visual, "material", None) if mesh.visual.kind == "texture" else None
 
 
 def _url_of(image: Image.Image) -> str:
@@ -167,7 +187,7 @@ def _is_stand_in(material: Any) -> bool:
     return image is not None and image.format is None
 
 
-def _face_set(mesh: Any, *, solid: bool) -> nodes.IndexedFaceSet:
+def _face_set(mesh: Any, material: GltfMaterial | None, notes: ReadNotes, *, solid: bool) -> nodes.IndexedFaceSet:
     """Triangles with shared positions: where a file repeats a vertex for the sake of texture or normal, one is kept."""
     faces = np.asarray(mesh.faces, dtype=np.int64)
     if faces.min() < 0:
@@ -184,11 +204,13 @@ def _face_set(mesh: Any, *, solid: bool) -> nodes.IndexedFaceSet:
 
     uv = getattr(mesh.visual, "uv", None)
     if uv is not None and np.shape(uv) == (len(position_of), 2):
-        per_vertex("tex_coord", nodes.TextureCoordinate(point=np.asarray(uv, dtype=np.float64)))
+        uv = np.asarray(uv, dtype=np.float64)
+        per_vertex("tex_coord", nodes.TextureCoordinate(point=uv if material is None else material.texcoord(uv)))
     if "vertex_normals" in mesh._cache:  # only there if the file had them
         per_vertex("normal", nodes.Normal(vector=np.asarray(mesh.vertex_normals, dtype=np.float64)))
     else:
         options["crease_angle"] = CREASE_ANGLE
+    _note_lost(mesh, notes)
     colors, on_faces = _colors(mesh)
     if colors is not None and on_faces:
         options |= {"color": colors, "color_per_vertex": False}
@@ -207,18 +229,42 @@ def _face_set(mesh: Any, *, solid: bool) -> nodes.IndexedFaceSet:
 def _colors(mesh: Any) -> tuple[nodes.Color | nodes.ColorRGBA | None, bool]:
     """The colours of vertices or faces, and whether they are of faces; RGB if all are opaque."""
     kind = mesh.visual.kind
+    on_faces = False
     if kind in ("vertex", "face"):
-        colors = mesh.visual.vertex_colors if kind == "vertex" else mesh.visual.face_colors
-    elif kind == "texture" and len(mesh.visual.vertex_attributes.get("color", ())) == len(mesh.vertices):
-        colors = mesh.visual.vertex_attributes["color"]
+        colors, on_faces = (mesh.visual.vertex_colors if kind == "vertex" else mesh.visual.face_colors), kind == "face"
     else:
-        return None, False
+        beside = _colors_beside_texture(mesh)
+        if len(beside.get("vertices", ())) == len(mesh.vertices):
+            colors = beside["vertices"]
+        elif len(beside.get("faces", ())) == len(mesh.faces):
+            colors, on_faces = beside["faces"], True
+        else:
+            return None, False
     colors = np.asarray(colors)
     largest = np.iinfo(colors.dtype).max if np.issubdtype(colors.dtype, np.integer) else 1.0
     values = np.clip(colors.astype(np.float64) / largest, 0.0, 1.0)
     if values.shape[1] == 4 and not np.all(values[:, 3] == 1.0):
-        return nodes.ColorRGBA(color=values), kind == "face"
-    return nodes.Color(color=values[:, :3]), kind == "face"
+        return nodes.ColorRGBA(color=values), on_faces
+    return nodes.Color(color=values[:, :3]), on_faces
+
+
+def _colors_beside_texture(mesh: Any) -> dict[str, Any]:
+    """Colours of the vertices or faces of a mesh that has texture coordinates too, where trimesh leaves them."""
+    found = {
+        "vertices": getattr(mesh.visual, "vertex_attributes", {}).get("color", mesh.vertex_attributes.get("color")),
+        "faces": mesh.face_attributes.get("color"),
+    }
+    return {name: colors for name, colors in found.items() if colors is not None}
+
+
+def _note_lost(mesh: Any, notes: ReadNotes) -> None:
+    """Note what a ply has for vertices or faces that trimesh repeated or divided, and which no longer fits them."""
+    beside, raw = _colors_beside_texture(mesh), mesh.metadata.get("_ply_raw", {})
+    for name, count in (("vertices", len(mesh.vertices)), ("faces", len(mesh.faces))):
+        if len(beside.get(name, ())) not in (0, count):
+            notes.unused[f"ply colours of {name} beside texture coordinates"] += 1
+    if "nx" in raw.get("vertex", {}).get("properties", {}) and "vertex_normals" not in mesh._cache:
+        notes.unused["ply normals of vertices beside texture coordinates of faces"] += 1
 
 
 def _with_ends(triangles: np.ndarray) -> np.ndarray:

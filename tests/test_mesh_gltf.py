@@ -1,0 +1,201 @@
+"""What glTF says about textures beyond their pixels, and its extensions: applied, named, or refused."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from trimesh.visual.material import PBRMaterial
+
+from jaxlight import SceneFileError, SceneFileWarning, load
+from jaxlight.formats.mesh_materials import material_from_gltf
+from jaxlight.scene import nodes as n
+from test_mesh_damage import corners
+from test_meshes import rewritten, shapes_of
+
+UV = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
+"""t up, as trimesh has them; in the file t points down."""
+GLOSSY = "KHR_materials_pbrSpecularGlossiness"
+
+
+@pytest.fixture
+def glb() -> bytes:
+    square = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
+    image = Image.fromarray(np.arange(12, dtype=np.uint8).reshape(2, 2, 3))
+    material = PBRMaterial(name="m", baseColorTexture=image)
+    square.visual = trimesh.visual.TextureVisuals(uv=UV, material=material)
+    return trimesh.Scene(square).export(file_type="glb")
+
+
+def changed_texture(header: dict, transform: dict | None = None, wraps: dict | None = None, **use: int) -> None:
+    (material,) = header["materials"]
+    texture = material["pbrMetallicRoughness"]["baseColorTexture"]
+    texture.update(use)
+    if transform is not None:
+        texture["extensions"] = {"KHR_texture_transform": transform}
+        header["extensionsUsed"] = header["extensionsRequired"] = ["KHR_texture_transform"]
+    if wraps is not None:
+        header["samplers"] = [{}, wraps]
+        header["textures"][texture["index"]]["sampler"] = 1
+
+
+def one_shape(tmp_path: Path, data: bytes) -> n.Shape:
+    (tmp_path / "a.glb").write_bytes(data)
+    (shape,) = shapes_of(tmp_path / "a.glb")
+    return shape
+
+
+def transformed(down: np.ndarray, offset: tuple, rotation: float, scale: tuple) -> np.ndarray:
+    """KHR_texture_transform as a product of matrices: translation rotation scale."""
+    c, s = math.cos(rotation), math.sin(rotation)
+    turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    move = np.array([[1, 0, offset[0]], [0, 1, offset[1]], [0, 0, 1]])
+    matrix = move @ turn @ np.diag([*scale, 1])
+    return np.array([(matrix @ [u, v, 1])[:2] for u, v in down])
+
+
+@pytest.mark.parametrize(
+    ("offset", "rotation", "scale"),
+    [((0.25, 0.5), 0.0, (1, 1)), ((0, 0), 0.5, (1, 1)), ((0, 1), 0, (1, -1)), ((0.1, -0.2), 2.0, (3.0, 0.5))],
+)
+def test_texture_transforms_are_applied(
+    tmp_path: Path, glb: bytes, offset: tuple, rotation: float, scale: tuple
+) -> None:
+    transform = {"offset": offset, "rotation": rotation, "scale": scale}
+    plain = one_shape(tmp_path, glb)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        shape = one_shape(tmp_path, rewritten(glb, lambda header: changed_texture(header, transform)))
+    before, after = (corners(s.geometry, "tex_coord", "point").reshape(-1, 2) for s in (plain, shape))
+    down = before * (1, -1) + (0, 1)
+    expected = transformed(down, offset, rotation, scale) * (1, -1) + (0, 1)
+    assert np.allclose(after, expected, atol=1e-12)
+
+
+def test_the_example_of_the_extension_shows_the_lower_left_quarter_turned(tmp_path: Path, glb: bytes) -> None:
+    """ "This example utilizes only the lower left quadrant of the source image, rotated clockwise 90 degrees"."""
+    transform = {"offset": [0, 1], "rotation": math.pi / 2, "scale": [0.5, 0.5]}
+    shape = one_shape(tmp_path, rewritten(glb, lambda header: changed_texture(header, transform)))
+    uv = corners(shape.geometry, "tex_coord", "point")
+    square = {
+        tuple(position[:2]): tuple(np.round(st, 9) + 0.0)
+        for position, st in zip(
+            corners(shape.geometry, "coord", "point").reshape(-1, 3), uv.reshape(-1, 2), strict=True
+        )
+    }
+    # Turned clockwise, the image's lower left corner is at the upper left of the square.
+    assert square == {(0, 1): (0, 0), (1, 1): (0, 0.5), (1, 0): (0.5, 0.5), (0, 0): (0.5, 0)}
+
+
+@pytest.mark.parametrize(
+    ("wraps", "repeats"),
+    [
+        ({}, (True, True)),
+        ({"wrapS": 10497, "wrapT": 10497}, (True, True)),
+        ({"wrapS": 33071}, (False, True)),
+        ({"wrapT": 33071}, (True, False)),
+        ({"wrapS": 33071, "wrapT": 33071}, (False, False)),
+    ],
+)
+def test_samplers_clamp_or_repeat(tmp_path: Path, glb: bytes, wraps: dict, repeats: tuple[bool, bool]) -> None:
+    shape = one_shape(tmp_path, rewritten(glb, lambda header: changed_texture(header, wraps=wraps)))
+    texture = shape.appearance.texture
+    assert (texture.repeat_s, texture.repeat_t) == repeats
+
+
+def test_mirrored_textures_are_named(tmp_path: Path, glb: bytes) -> None:
+    with pytest.warns(SceneFileWarning, match="glTF wrapT MIRRORED_REPEAT"):
+        shape = one_shape(tmp_path, rewritten(glb, lambda header: changed_texture(header, wraps={"wrapT": 33648})))
+    assert shape.appearance.texture.repeat_t
+
+
+def test_one_image_clamped_and_repeated_is_two_textures(tmp_path: Path, glb: bytes) -> None:
+    def change(header: dict) -> None:
+        (material,) = header["materials"]
+        (mesh,) = header["meshes"]
+        header["samplers"] = [{"wrapS": 33071}]
+        header["textures"] = [{"source": 0}, {"source": 0, "sampler": 0}]
+        header["materials"] = [
+            material | {"pbrMetallicRoughness": {"baseColorTexture": {"index": index}}} for index in (0, 1)
+        ]
+        mesh["primitives"] = [mesh["primitives"][0] | {"material": row} for row in (0, 1)]
+
+    (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
+    assert {shape.appearance.texture.repeat_s for shape in shapes_of(tmp_path / "a.glb")} == {True, False}
+
+
+@pytest.mark.parametrize("by_transform", [False, True])
+def test_a_texture_takes_the_set_of_coordinates_that_it_names(tmp_path: Path, glb: bytes, by_transform: bool) -> None:
+    def change(header: dict) -> None:
+        (primitive,) = header["meshes"][0]["primitives"]
+        second = primitive["attributes"].pop("TEXCOORD_0")
+        primitive["attributes"] |= {"TEXCOORD_2": second}
+        changed_texture(header, transform={"texCoord": 2} if by_transform else None, texCoord=1 if by_transform else 2)
+
+    shape = one_shape(tmp_path, rewritten(glb, change))
+    uv = corners(shape.geometry, "tex_coord", "point")
+    assert np.array_equal(uv, corners(shape.geometry, "coord", "point")[:, :, :2])
+    with pytest.raises(SceneFileError, match="glTF material 0 needs TEXCOORD_3, which a mesh has not"):
+        one_shape(tmp_path, rewritten(glb, lambda header: changed_texture(header, texCoord=3)))
+
+
+def test_texture_coordinates_of_integers_are_refused(tmp_path: Path, glb: bytes) -> None:
+    def change(header: dict) -> None:
+        (primitive,) = header["meshes"][0]["primitives"]
+        header["accessors"][primitive["attributes"]["TEXCOORD_0"]] |= {"componentType": 5123, "normalized": True}
+
+    with pytest.raises(SceneFileError, match="glTF material 0 has a TEXCOORD_0 of integers; jaxlight reads floats"):
+        one_shape(tmp_path, rewritten(glb, change))
+
+
+@pytest.mark.parametrize("name", ["KHR_materials_clearcoat", "KHR_lights_punctual", "KHR_texture_transform_2"])
+def test_an_extension_that_is_needed_and_not_read_is_an_error(tmp_path: Path, glb: bytes, name: str) -> None:
+    (tmp_path / "a.glb").write_bytes(rewritten(glb, lambda header: header.update(extensionsRequired=[name])))
+    with pytest.raises(SceneFileError, match=f"needs the glTF extension {name}, .* it reads KHR_materials_unlit, "):
+        load(tmp_path / "a.glb")
+
+
+def test_extensions_that_are_used_and_not_read_are_named(tmp_path: Path, glb: bytes) -> None:
+    def change(header: dict) -> None:
+        header["extensionsUsed"] = ["EXT_mesh_gpu_instancing", "KHR_materials_clearcoat", "KHR_materials_unlit"]
+        header["materials"][0]["extensions"] = {"KHR_materials_clearcoat": {"clearcoatFactor": 1}}
+
+    with pytest.warns(SceneFileWarning, match="glTF EXT_mesh_gpu_instancing x1, glTF KHR_materials_clearcoat x1$"):
+        one_shape(tmp_path, rewritten(glb, change))
+
+
+def test_specular_glossiness(tmp_path: Path, glb: bytes) -> None:
+    def change(header: dict) -> None:
+        (material,) = header["materials"]
+        texture = material.pop("pbrMetallicRoughness")["baseColorTexture"]
+        glossy = {"diffuseFactor": [0.8, 0.4, 0.2, 0.5], "specularFactor": [0.25, 0.125, 0], "glossinessFactor": 0.5}
+        glossy |= {"diffuseTexture": texture, "specularGlossinessTexture": texture}
+        material |= {"alphaMode": "BLEND", "extensions": {GLOSSY: glossy}}
+        header["extensionsUsed"] = header["extensionsRequired"] = [GLOSSY]
+
+    with pytest.warns(SceneFileWarning, match="glTF specularGlossinessTexture x1$"):
+        shape = one_shape(tmp_path, rewritten(glb, change))
+    material, texture = shape.appearance.material, shape.appearance.texture
+    exponent = 2 / 0.5**4 - 2
+    specular = np.array([0.25, 0.125, 0])
+    assert np.allclose(material.diffuse_color, np.array([0.8, 0.4, 0.2]) * 0.75 + specular * 0.5)
+    assert np.allclose(material.specular_color, np.minimum(specular * 0.5 * (exponent + 8) / 8, 1))
+    assert material.shininess == pytest.approx(exponent / 128)
+    assert material.transparency == 0.5
+    pixels = np.flipud(np.arange(12).reshape(2, 2, 3)) / 255
+    assert np.array_equal(texture.image[:, :, :3], pixels)
+
+
+def test_metallic_and_glossy_descriptions_of_a_metal_agree() -> None:
+    color = [0.9, 0.6, 0.3]
+    metal = {"pbrMetallicRoughness": {"baseColorFactor": [*color, 1], "roughnessFactor": 0.25}}
+    glossy = {"diffuseFactor": [0, 0, 0, 1], "specularFactor": color, "glossinessFactor": 0.75}
+    first = material_from_gltf("m", metal, see_through=False)
+    second = material_from_gltf("m", {"extensions": {GLOSSY: glossy}}, see_through=False)
+    for field in ("diffuse_color", "specular_color", "shininess", "transparency"):
+        assert np.allclose(getattr(first, field), getattr(second, field))
