@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -210,11 +212,24 @@ def test_errors_of_views_and_files(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"two\.npz: holds a, b; none is named 'normal'"):
         samples_from_maps(tmp_path / "two.npz", CAMERA, depth=1.0)
     np.save(tmp_path / "objects.npy", np.array([{}], dtype=object), allow_pickle=True)
-    with pytest.raises(ValueError, match=r"normal: .*objects\.npy: Object arrays cannot be loaded"):
+    with pytest.raises(ValueError, match=r"normal: .*objects\.npy: not a NumPy array file of numbers$"):
         samples_from_maps(tmp_path / "objects.npy", CAMERA, depth=1.0)
+    (tmp_path / "garbage.npy").write_bytes(b"nothing that NumPy knows")
+    with pytest.raises(ValueError, match=r"normal: .*garbage\.npy: not a NumPy array file of numbers$"):
+        samples_from_maps(tmp_path / "garbage.npy", CAMERA, depth=1.0)
     (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 nothing")
     with pytest.raises(ValueError, match=r"broken\.npz: not an array file"):
         samples_from_maps(tmp_path / "broken.npz", CAMERA, depth=1.0)
+
+
+def test_an_array_file_that_cannot_be_read_is_closed(tmp_path: Path) -> None:
+    (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 nothing")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        with pytest.raises(ValueError, match="not an array file"):
+            samples_from_maps(tmp_path / "broken.npz", CAMERA, depth=1.0)
+        gc.collect()
+    assert not [warning for warning in said if "broken.npz" in str(warning.message)]
 
 
 def test_an_archive_that_would_unpack_to_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -76,6 +76,14 @@ def test_python_runs(clone: Path) -> None:
     assert (clone / "fitted.x3d").is_file()
 
 
+@pytest.mark.parametrize("page", ["data-model.md", "fitting.md"])
+def test_python_of_the_documentation_runs(clone: Path, page: str) -> None:
+    code = "\n".join(re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / page).read_text(), re.M | re.S))
+    assert code.count("import jaxlight as jl") == 1
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+
+
 def test_links_lead_somewhere() -> None:
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
         for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):

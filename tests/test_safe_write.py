@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
@@ -56,6 +57,20 @@ def test_an_error_leaves_what_there_was(tmp_path: Path, there: bool) -> None:
         draft.write_text("half")
         raise RuntimeError
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == ([("a.txt", "old")] if there else [])
+
+
+def test_a_full_disk_is_said_with_the_name_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    with pytest.raises(OSError, match="No space left") as caught, written_whole(path):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, str(path))
+    with pytest.raises(PermissionError) as refused, written_whole(path) as draft:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(draft))
+    assert refused.value.filename == str(path)
+    with pytest.raises(FileNotFoundError) as other, written_whole(path):
+        (tmp_path / "other.txt").read_text()
+    assert str(other.value.filename) == str(tmp_path / "other.txt")
+    assert os.listdir(tmp_path) == []
 
 
 def test_spare_follows_links(tmp_path: Path) -> None:

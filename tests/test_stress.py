@@ -54,6 +54,17 @@ def test_what_is_in_doubt_is_settled_by_fifty_digits(
     assert (judged.relative[0] <= LIMITS["reverse"]) == holds
 
 
+@pytest.mark.parametrize(
+    "option",
+    ["cases -1", "adversarial -1", "seed -1", "second -1", "shapes 0", "jobs 0", "minutes -0.5", "minutes nan"],
+)
+def test_numbers_that_an_option_does_not_take_are_refused(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    name, value = option.split()
+    least = int(name in ("shapes", "jobs"))
+    assert main(["stress", f"--{name}", value]) == 2
+    assert capsys.readouterr().err == f"jaxlight: error: stress: --{name}: expected a number >= {least}, got {value}\n"
+
+
 def test_without_a_checkout_one_sentence_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import os
 from pathlib import Path
 
@@ -176,3 +177,128 @@ def test_a_new_texture_does_not_take_the_place_of_a_link(tmp_path: Path) -> None
     save(Scene.from_nodes([n.Shape(appearance=n.Appearance(texture=texture), geometry=n.Box())]), tmp_path / "a.x3d")
     assert (tmp_path / "wood.png").is_symlink()
     assert (tmp_path / "a_texture.png").is_file()
+
+
+def picture(path: Path, level: int) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", (1, 1), (level, level, level)).save(path)
+    return path
+
+
+def levels(scene: Scene) -> list[int]:
+    """The first texel of each texture that was read."""
+    return [round(255 * float(texture.image[0, 0, 0])) for texture in scene.textures]
+
+
+def scene_of(folder: Path, *urls: str) -> Path:
+    """A scene file with a texture for each of the urls (each in double quotes, or several of them)."""
+    folder.mkdir(exist_ok=True)
+    shape = "<Shape><Appearance><Material/><ImageTexture url='{}'/></Appearance><Box/></Shape>"
+    (folder / "scene.x3d").write_text(x3d("".join(shape.format(url) for url in urls)))
+    return folder / "scene.x3d"
+
+
+@pytest.mark.parametrize("through", ["link.png", "linked/real.png", "linked/../real.png"])
+def test_a_texture_behind_a_link_is_copied_to_where_its_url_looks(tmp_path: Path, through: str) -> None:
+    source, out = tmp_path / "source", tmp_path / "out"
+    path = scene_of(source, f'"{through}"')
+    picture(source / "deep" / "maps" / "real.png", 10)
+    picture(source / "deep" / "real.png", 10)
+    (source / "link.png").symlink_to(Path("deep", "real.png"))
+    (source / "linked").symlink_to(Path("deep", "maps"))
+    out.mkdir()
+    save(load(path), out / "scene.x3d")
+    assert (out / "scene.x3d").read_bytes() == path.read_bytes()
+    assert levels(load(out / "scene.x3d")) == [10]
+    assert not any(file.is_symlink() for file in out.rglob("*"))
+
+
+@pytest.mark.parametrize(
+    ("urls", "own", "strange"),
+    [
+        ('"nope.png" "ok.png"', "ok.png", "nope.png"),
+        ('"a%20b.png"', "a b.png", "a%20b.png"),
+        ('"maps\\\\a.png"', "maps/a.png", "maps\\a.png"),
+    ],
+)
+def test_a_saved_scene_shows_no_strange_picture(tmp_path: Path, urls: str, own: str, strange: str) -> None:
+    source, out = tmp_path / "source", tmp_path / "out"
+    path = scene_of(source, urls)
+    picture(source / own, 10)
+    picture(out / strange, 200)
+    assert levels(load(path)) == [10]
+    for _ in range(2):
+        save(load(path), out / "scene.x3d")
+        assert levels(load(out / "scene.x3d")) == [10]
+    assert read_image(out / strange).ravel().tolist() == [200 / 255] * 3
+    save(load(path), source / "again.x3d")
+    assert (source / "again.x3d").read_bytes() == path.read_bytes()
+
+
+def test_a_strange_picture_before_one_that_stands_in_the_url_itself_is_not_shown(tmp_path: Path) -> None:
+    content = base64.b64encode(picture(tmp_path / "a.png", 10).read_bytes()).decode()
+    path, out = scene_of(tmp_path / "source", f'"nope.png" "data:image/png;base64,{content}"'), tmp_path / "out"
+    out.mkdir()
+    save(load(path), out / "scene.x3d")
+    assert (out / "scene.x3d").read_bytes() == path.read_bytes() and os.listdir(out) == ["scene.x3d"]
+    picture(out / "nope.png", 200)
+    save(load(path), out / "scene.x3d")
+    assert levels(load(out / "scene.x3d")) == [10] and len(os.listdir(out)) == 2
+
+
+def test_no_texture_is_written_through_a_link_to_elsewhere(tmp_path: Path) -> None:
+    source, out, elsewhere = (tmp_path / name for name in ("source", "out", "elsewhere"))
+    path = scene_of(source, '"sub/in.png"')
+    picture(source / "sub" / "in.png", 10)
+    out.mkdir()
+    elsewhere.mkdir()
+    (out / "sub").symlink_to(elsewhere)
+    save(load(path), out / "scene.x3d")
+    assert os.listdir(elsewhere) == []
+    assert levels(load(out / "scene.x3d")) == [10]
+
+
+@pytest.mark.parametrize("taken", ["ok.png", "scene_ok.png"])
+def test_a_folder_of_the_name_of_a_texture_is_let_be(tmp_path: Path, taken: str) -> None:
+    source, out = tmp_path / "source", tmp_path / "out"
+    path = scene_of(source, '"ok.png"')
+    picture(source / "ok.png", 10)
+    (out / "ok.png").mkdir(parents=True)
+    (out / taken).mkdir(exist_ok=True)
+    scene_of(out, f'"{taken}"')  # the replaced scene names it
+    save(load(path), out / "scene.x3d")
+    assert (out / taken).is_dir()
+    assert levels(load(out / "scene.x3d")) == [10]
+
+
+def test_textures_do_not_come_into_the_way_of_one_another(tmp_path: Path) -> None:
+    source, out = tmp_path / "source", tmp_path / "out"
+    picture(source / "a" / "c.png", 10)
+    picture(source / "b.png", 20)
+    (source / "a" / "deep").mkdir()
+    (source / "link").symlink_to(Path("a", "deep"))
+    for number, urls in enumerate((['"c.png" "b.png"', '"link/../c.png"'], ['"link/../c.png"', '"c.png" "b.png"'])):
+        path = scene_of(source, *urls)
+        (out / str(number)).mkdir(parents=True)
+        save(load(path), out / str(number) / "scene.x3d")
+        assert levels(load(out / str(number) / "scene.x3d")) == levels(load(path))
+
+
+def test_the_name_of_a_new_texture_leads_to_it(tmp_path: Path) -> None:
+    """A url is looked for as it stands before `%20` in it becomes a blank."""
+    picture(tmp_path / "a%20b_texture.png", 200)
+    texture = n.ImageTexture(image=np.zeros((1, 1, 3)))
+    scene = Scene.from_nodes([n.Shape(appearance=n.Appearance(texture=texture), geometry=n.Box())])
+    save(scene, tmp_path / "a b.x3d")
+    assert levels(load(tmp_path / "a b.x3d")) == [0]
+    save(scene, tmp_path / ("\u4e00" * 60 + ".x3d"))
+    assert levels(load(tmp_path / ("\u4e00" * 60 + ".x3d"))) == [0]
+
+
+@pytest.mark.parametrize("url", ["a%20b.png", "file:a.png", "a\033.png", ".png"])
+def test_a_texture_built_in_python_is_found_again(tmp_path: Path, url: str) -> None:
+    picture(tmp_path / "a%20b.png", 200)
+    texture = n.ImageTexture(image=np.zeros((1, 1, 3)), url=(url,))
+    save(Scene.from_nodes([n.Shape(appearance=n.Appearance(texture=texture), geometry=n.Box())]), tmp_path / "a.x3d")
+    assert levels(load(tmp_path / "a.x3d")) == [0]
+    assert read_image(tmp_path / "a%20b.png").ravel().tolist() == [200 / 255] * 3

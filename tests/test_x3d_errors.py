@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
 from jaxlight import SceneFileError, load
+from jaxlight.formats import read_nodes
 from x3d_text import x3d
 
 POINTS = "<Coordinate point='0 0 0, 1 0 0, 0 1 0'/>"
@@ -207,3 +209,23 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
         load(tmp_path / "none.x3d")
     with pytest.raises(SceneFileError, match="is a folder"):
         load(tmp_path)
+
+
+def test_a_pipe_is_no_file(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.x3d")
+    with pytest.raises(SceneFileError, match=r"pipe\.x3d: is a pipe or a device; only files are read"):
+        read_nodes(tmp_path / "pipe.x3d")
+
+
+def test_placed_nodes_are_counted_before_they_are_placed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each group uses the one before twice: 2^300 spheres."""
+    groups = ["<Group DEF='g0'><Shape><Sphere/></Shape></Group>"]
+    groups += [f"<Group DEF='g{i}'><Group USE='g{i - 1}'/><Group USE='g{i - 1}'/></Group>" for i in range(1, 301)]
+    path = tmp_path / "many.x3d"
+    path.write_text(x3d("".join(groups)))
+    with monkeypatch.context() as patch:
+        patch.setattr("jaxlight.Scene.from_nodes", None)
+        with pytest.raises(SceneFileError, match=r"many\.x3d: scene: more than 1000000 placed nodes"):
+            load(path)
+    path.write_text(x3d(f"<Switch whichChoice='4'>{''.join(groups)}</Switch>"))
+    assert len(load(path).document.shapes) == 16

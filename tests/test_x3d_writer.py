@@ -313,7 +313,17 @@ def test_two_nodes_of_one_name_stay_two(tmp_path: Path) -> None:
     assert kinds == ["Box", "Sphere", "Box", "Sphere"]
 
 
-def test_a_name_that_xml_cannot_hold_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="cannot be written as XML"):
-        save(Scene.from_nodes([n.Group(name="\0")]), tmp_path / "scene.x3d")
+def test_characters_of_names_that_xml_cannot_hold_are_replaced(tmp_path: Path) -> None:
+    groups = [n.Group(name=name) for name in ("a\033x", "a_x", "\0", "\ud800", "\ufffe\U0001f600")]
+    save(Scene.from_nodes(groups), tmp_path / "scene.x3d")
+    names = [group.name for group in load(tmp_path / "scene.x3d").document.children]
+    assert names == ["a_x", "a_x_2", "_", "__2", "_\U0001f600"]
+
+
+def test_characters_that_xml_cannot_hold_are_refused_in_other_fields(tmp_path: Path) -> None:
+    view = n.Viewpoint(name="front\033", description="seen from\0the front")
+    with pytest.raises(
+        ValueError, match=r"^save: Viewpoint\[front_\]\.description: XML cannot hold .*'seen from.x00the"
+    ):
+        save(Scene.from_nodes([view]), tmp_path / "scene.x3d")
     assert os.listdir(tmp_path) == []

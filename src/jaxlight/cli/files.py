@@ -16,7 +16,9 @@ def existing(*paths: Path) -> None:
         if path.is_dir():
             raise ValueError(f"{path}: expected a file, got a folder")
         if not path.is_file():
-            raise ValueError(f"{path}: no such file")
+            from ..formats.limits import what_it_is
+
+            raise ValueError(f"{path}: {what_it_is(path)}")
 
 
 def spare(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:

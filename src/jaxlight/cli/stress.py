@@ -12,6 +12,9 @@ import tyro
 
 from .options import Precision
 
+_LEAST = {"cases": 0, "adversarial": 0, "seed": 0, "second": 0, "shapes": 1, "jobs": 1, "minutes": 0}
+"""The smallest number that each option takes."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Stress:
@@ -52,6 +55,10 @@ class Stress:
 
     def run(self) -> int:
         """Print the tables."""
+        for name, least in _LEAST.items():
+            value = getattr(self, name)
+            if value is not None and not value >= least:
+                raise ValueError(f"stress: --{name}: expected a number >= {least}, got {value}")
         if self.case and self.seed is None:
             raise ValueError("stress: --case needs the --seed of its run")
         return _command().run(self)

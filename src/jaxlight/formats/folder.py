@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import urllib.parse
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 
@@ -19,15 +20,27 @@ class ResourceFolder:
         Raises:
             ValueError: it points to a network or outside the folder, or there is no such file; says which.
         """
-        if len(urllib.parse.urlsplit(reference).scheme) > 1:
-            raise ValueError(f"{_shown(reference)} is an address; only files beside the scene are read")
-        for name in dict.fromkeys((reference, urllib.parse.unquote(reference), reference.replace("\\", "/"))):
-            found = self._inside(name)
-            if found is not None:
-                return found
+        for place in self.places(reference):
+            if os.path.isfile(place):
+                return place
         raise ValueError(f"{_shown(reference)}: no such file beside the scene")
 
-    def _inside(self, name: str) -> Path | None:
+    def places(self, reference: str) -> Iterator[Path]:
+        """Where a file of this reference is looked for, one place after the other.
+
+        Raises:
+            ValueError: it points to a network or outside the folder.
+        """
+        if len(urllib.parse.urlsplit(reference).scheme) > 1:
+            raise ValueError(f"{_shown(reference)} is an address; only files beside the scene are read")
+        yield from (place for name in spellings(reference) if (place := self.place(name)) is not None)
+
+    def place(self, name: str) -> Path | None:
+        """Where a file of this name is or would be, behind all links; None: no file can have it.
+
+        Raises:
+            ValueError: outside the folder.
+        """
         if PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor:
             raise ValueError(f"{_shown(name)} is outside the scene's folder")
         try:
@@ -36,7 +49,12 @@ class ResourceFolder:
             return None
         if not path.is_relative_to(self.path):
             raise ValueError(f"{_shown(name)} is outside the scene's folder")
-        return path if os.path.isfile(path) else None
+        return path
+
+
+def spellings(reference: str) -> tuple[str, ...]:
+    """The names by which a reference is looked for, one after the other."""
+    return tuple(dict.fromkeys((reference, urllib.parse.unquote(reference), reference.replace("\\", "/"))))
 
 
 def _shown(reference: str) -> str:

@@ -74,14 +74,16 @@ def pixels_of(image: Image.Image, path: Path) -> np.ndarray:
     clear = image.info.get("transparency")
     image = ImageOps.exif_transpose(image) or image
     if image.mode.startswith("I"):
-        pixels, largest = np.asarray(image, dtype=np.float64), 65535.0
+        pixels, largest = np.array(image, dtype=np.float64), 65535.0
         if clear is not None:  # the level of what is transparent
             pixels = np.stack([pixels, np.where(pixels == clear, 0.0, largest)], axis=-1)
     elif image.mode == "F":
-        pixels, largest = np.asarray(image, dtype=np.float64), 1.0
+        pixels, largest = np.array(image, dtype=np.float64), 1.0
     else:
-        pixels, largest = np.asarray(image.convert(_plain_mode(image)), dtype=np.float64), 255.0
-    return np.atleast_3d(pixels) / largest
+        pixels, largest = np.array(image.convert(_plain_mode(image)), dtype=np.float64), 255.0
+    pixels = np.atleast_3d(pixels)
+    pixels /= largest  # in place: a large image is held once
+    return pixels
 
 
 def _plain_mode(image: Image.Image) -> str:

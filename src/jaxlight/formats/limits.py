@@ -15,6 +15,13 @@ MAX_PIXELS = 2**26
 """Pixels of one image, and of all textures of one scene together."""
 
 
+def what_it_is(path: Path) -> str:
+    """What stands where a file is expected and is none."""
+    if path.is_dir():
+        return "is a folder"
+    return "is a pipe or a device; only files are read" if path.exists() else "no such file"
+
+
 def read_bounded(path: Path) -> bytes:
     """The content of a file of at most MAX_FILE_BYTES.
 
@@ -23,7 +30,7 @@ def read_bounded(path: Path) -> bytes:
     """
     try:
         if not path.is_file():
-            raise SceneFileError(path, None, "is a folder" if path.is_dir() else "no such file")
+            raise SceneFileError(path, None, what_it_is(path))
         with path.open("rb") as file:
             data = file.read(MAX_FILE_BYTES + 1)
     except OSError as error:

@@ -30,6 +30,10 @@ def written_whole(path: Path) -> Iterator[Path]:
             os.fsync(content.fileno())
         draft.replace(path)
         _flush_folder(path.parent)
+    except OSError as error:
+        if error.errno is None or error.filename not in (None, str(draft)):
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         draft.unlink(missing_ok=True)
 

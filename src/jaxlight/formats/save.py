@@ -60,9 +60,9 @@ def _edited_source(source: X3DSource, changes: dict[nodes.Node, nodes.Node], pla
         new = changes.get(node, node)
         values = _changed_values(node, new, source.angle_unit) if new is not node else {}
         if isinstance(node, nodes.ImageTexture) and isinstance(new, nodes.ImageTexture):
-            url = texture_url(plan, node, new, source.texture_files.get(node), source.path.parent)
-            if url is not None:
-                values["url"] = fields_of(nodes.ImageTexture)["url"].type.format((url,))
+            urls = texture_url(plan, node, new, source)
+            if urls is not None:
+                values["url"] = fields_of(nodes.ImageTexture)["url"].type.format(urls)
         if values:
             edits[source.element_numbers[node]] = values
     return with_attributes(source.path, source.data, edits) if edits else source.data
@@ -89,9 +89,9 @@ def _new_file(
     for node in everything:
         new = changes.get(node, node)
         if isinstance(node, nodes.ImageTexture) and isinstance(new, nodes.ImageTexture):
-            url = texture_url(plan, node, new, None, None)
-            if url is not None:
-                replacements[node] = dataclasses.replace(new, url=(url,))
+            urls = texture_url(plan, node, new, None)
+            if urls is not None:
+                replacements[node] = dataclasses.replace(new, url=urls)
     data = write_x3d(updated_children(children, replacements))
     try:
         parse_xml(plan.path, data)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..scene.nodes import Node
+from ..scene.nodes import Group, Node, Switch, Transform
 from .encodings import detect_format
 from .errors import SceneFileError
 from .limits import read_bounded
@@ -57,9 +58,13 @@ def load(path: str | Path, *, dtype: Any = None) -> Scene:
         SceneFileError: the file cannot be read, or is not what it should be; says where and why.
     """
     from ..scene import Scene
+    from ..scene.flatten import MAX_PLACED
 
     path = Path(path)
     read = _read(path)
+    if _placed(read.children) > MAX_PLACED:  # counted first: to place them takes long
+        what = f"scene: more than {MAX_PLACED} placed nodes (a node used again counts every time)"
+        raise SceneFileError(path, None, what)
     try:
         scene = Scene.from_nodes(read.children, dtype=dtype)
     except ValueError as error:
@@ -67,6 +72,19 @@ def load(path: str | Path, *, dtype: Any = None) -> Scene:
     read.notes.warn(path, stacklevel=2)
     document = dataclasses.replace(scene.document, source=read.source)
     return dataclasses.replace(scene, document=document)
+
+
+def _placed(children: tuple[Node, ...]) -> int:
+    """How many nodes the scene places: those that stand in groups, each as often as it is used."""
+
+    @functools.cache
+    def count(node: Node) -> int:
+        if isinstance(node, Switch):
+            chosen = node.which_choice
+            return 1 + (count(node.children[chosen]) if 0 <= chosen < len(node.children) else 0)
+        return 1 + sum(map(count, node.children)) if isinstance(node, (Group, Transform)) else 1
+
+    return sum(map(count, children))
 
 
 def _read(path: Path) -> ReadScene:

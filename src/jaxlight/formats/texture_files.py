@@ -6,8 +6,11 @@ that was there, unless the scene file that is being replaced names it.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
+import itertools
+import os
 import urllib.parse
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,14 +18,14 @@ from pathlib import Path
 import numpy as np
 
 from ..scene import nodes
-from .errors import SceneFileError
-from .folder import ResourceFolder
+from .folder import ResourceFolder, spellings
 from .images import read_image, write_image
 from .limits import read_bounded
 from .quantize import quantize
 from .safe_write import written_whole
+from .x3d_source import X3DSource
 from .x3d_values import MFString
-from .xml_elements import parse_xml
+from .xml_elements import parse_xml, xml_text
 
 
 @dataclasses.dataclass
@@ -33,25 +36,52 @@ class TexturePlan:
     inputs: set[Path]
     """Files never written to, resolved."""
     _copies: dict[Path, Path] = dataclasses.field(default_factory=dict)
+    """By where they go, resolved, as the keys of `_images`."""
     _images: dict[Path, np.ndarray] = dataclasses.field(default_factory=dict)
+    _absent: set[Path] = dataclasses.field(default_factory=set)
+    """Where urls look before they find what they should."""
 
-    def copied(self, origin: Path, folder: Path) -> str | None:
-        """Plan for a texture that did not change and came from a file below `folder`: the same place beside `path`.
+    def __post_init__(self) -> None:
+        self._folder = ResourceFolder(self.path)
+
+    def copied(self, origin: Path, source: ResourceFolder, urls: tuple[str, ...]) -> tuple[str, ...] | None:
+        """Plan for a texture that did not change: under the name by which a url finds it, if that is free here too.
+
+        Args:
+            origin: the file that it came from, found in `source` by one of its `urls`.
 
         Returns:
-            The new url, or None if the old one stays true.
+            The new urls, or None if the old ones find this picture beside `path`, and not another one.
         """
-        wanted = self.path.parent / origin.relative_to(folder)
-        if wanted.exists() and (wanted.samefile(origin) or read_bounded(wanted) == read_bounded(origin)):
-            return None
-        if not wanted.exists() and wanted not in self._images and self._copies.get(wanted, origin) == origin:
-            self._copies[wanted] = origin
-            return None
+        for url in urls:
+            found = self._found(url)
+            if found is not None:
+                if self._copies.get(found) == origin or (not self._is_planned(found) and _same_file(found, origin)):
+                    self._settle(urls, found)
+                    return None
+                if self._is_planned(found) or _is_image(found):
+                    break
+            elif (name := _name_of(origin, source, url)) is not None:
+                place = self._free_place(url, name)
+                if place is None:
+                    break
+                self._copies[place] = origin
+                self._settle(urls, place)
+                return None
         target = self._free_name(origin.stem, origin.suffix)
         self._copies[target] = origin
-        return urllib.parse.quote(target.name)
+        return (urllib.parse.quote(target.name),)
 
-    def written(self, image: np.ndarray, urls: tuple[str, ...], label: str) -> str | None:
+    def held(self, urls: tuple[str, ...]) -> tuple[str, ...] | None:
+        """The new urls of a texture that did not change and stands in a url itself; None if no file comes before it."""
+        before = tuple(itertools.takewhile(lambda url: not url.startswith("data:"), urls))
+        for found in filter(None, map(self._found, before)):
+            if self._is_planned(found) or _is_image(found):
+                return tuple(url for url in urls if url.startswith("data:"))
+        self._settle(before, None)
+        return None
+
+    def written(self, image: np.ndarray, urls: tuple[str, ...], label: str) -> tuple[str, ...] | None:
         """Plan for an image that no file holds yet: its first url if that is free or holds the same, or a new name.
 
         Args:
@@ -60,20 +90,23 @@ class TexturePlan:
             label: part of a new name.
 
         Returns:
-            The new url, or None if the old one stays true.
+            The new urls, or None if the old ones stay true.
         """
-        for url in urls[:1]:
-            name = Path(urllib.parse.unquote(url))
-            target = self.path.parent / name
-            if _holds(self.path, url, image):
-                return None
-            is_free = _is_free(target) and target not in self._copies and target not in self._images
-            if is_free and name.name == str(name) and name.suffix.lower() == ".png":
-                self._images[target] = image
+        url = urls[0] if urls else ""
+        if url and xml_text(url) == url:
+            name, place = urllib.parse.unquote(url), self._found(url)
+            if place is not None:
+                place = place if not self._is_planned(place) and _holds(place, image) else None
+            elif Path(name).name == name and Path(name).suffix.lower() == ".png":
+                place = self._free_place(url, name)
+                if place is not None:
+                    self._images[place] = image
+            if place is not None:
+                self._settle((url,), place)
                 return None
         target = self._free_name(label, ".png")
         self._images[target] = image
-        return urllib.parse.quote(target.name)
+        return (urllib.parse.quote(target.name),)
 
     def carry_out(self) -> None:
         """Write and copy the files; each is whole or not there."""
@@ -84,18 +117,55 @@ class TexturePlan:
         for target, image in self._images.items():
             write_image(target, np.flipud(image))
 
+    def _is_planned(self, place: Path) -> bool:
+        return place in self._images or place in self._copies
+
+    def _found(self, url: str) -> Path | None:
+        """The file that the url names when everything planned is there, or None."""
+        try:
+            for place in self._folder.places(url):
+                if self._is_planned(place) or os.path.isfile(place):
+                    return place
+        except ValueError:  # an address, or outside
+            pass
+        return None
+
+    def _free_place(self, url: str, name: str) -> Path | None:
+        """Where a new file of this name can be, one of the spellings of a url that finds nothing; None: it cannot."""
+        try:
+            place = self._folder.place(name) if any(self._folder.places(url)) else None
+        except ValueError:  # an address, or outside
+            return None
+        # A link on the way would lead the file to where nobody looks for it.
+        is_direct = place == Path(os.path.normpath(self._folder.path / name))
+        return place if place is not None and is_direct and place not in self._absent and _is_free(place) else None
+
+    def _settle(self, urls: tuple[str, ...], place: Path | None) -> None:
+        """From now on nothing may come between the urls and the file that they find."""
+        for url in urls:
+            with contextlib.suppress(ValueError):
+                for before in self._folder.places(url):
+                    if before == place:
+                        return
+                    self._absent.add(before)
+
     def _free_name(self, label: str, suffix: str) -> Path:
         """A name that starts with the scene's own and that no input, nothing in this plan and no stranger has."""
         stem = f"{self.path.stem}_{''.join(c if c.isalnum() or c in '-_' else '_' for c in label)[:40]}"
-        number, target = 1, self.path.parent / f"{stem}{suffix}"
-        while target.resolve() in self.inputs or target in self._copies or target in self._images or self._lost(target):
+        number, target = 1, self._folder.path / f"{stem}{suffix}"
+        while not self._is_usable(target):
             number += 1
-            target = self.path.parent / f"{stem}_{number}{suffix}"
+            target = self._folder.path / f"{stem}_{number}{suffix}"
         return target
 
-    def _lost(self, target: Path) -> bool:
-        """True if writing `target` would destroy a file that is not the replaced scene's."""
-        return (target.is_symlink() or target.exists()) and target.resolve() not in self._replaced
+    def _is_usable(self, target: Path) -> bool:
+        """True if writing `target` destroys nothing but a file of the replaced scene, and its url leads to it."""
+        for place in {target, target.with_name(urllib.parse.quote(target.name))}:
+            if self._is_planned(place) or place in self._absent or _resolved(place) in self.inputs:
+                return False
+            if os.path.lexists(place) and (place != target or place.is_dir() or _resolved(place) not in self._replaced):
+                return False
+        return True
 
     @functools.cached_property
     def _replaced(self) -> set[Path]:
@@ -112,11 +182,34 @@ class TexturePlan:
         return named_files(self.path, textures)
 
 
-def _holds(scene_path: Path, url: str, image: np.ndarray) -> bool:
-    """True if the url already names a file beside the scene with these texels, to 8 bits."""
+def _name_of(origin: Path, source: ResourceFolder, url: str) -> str | None:
+    """The spelling of a url by which `source` finds this file; None: it does not."""
     try:
-        found = np.flipud(read_image(ResourceFolder(scene_path).find(url)))
-    except (SceneFileError, ValueError, ImportError):
+        if source.find(url) == origin:
+            return next(name for name in spellings(url) if source.place(name) == origin)
+    except ValueError:
+        pass
+    return None
+
+
+def _same_file(found: Path, origin: Path) -> bool:
+    return found.samefile(origin) or read_bounded(found) == read_bounded(origin)
+
+
+def _is_image(path: Path) -> bool:
+    """True if a reader of the scene would take this file, and look no further."""
+    try:
+        read_image(path)
+    except (ValueError, ImportError):
+        return False
+    return True
+
+
+def _holds(path: Path, image: np.ndarray) -> bool:
+    """True if the file has these texels, to 8 bits."""
+    try:
+        found = np.flipud(read_image(path))
+    except (ValueError, ImportError):
         return False
     return found.shape == image.shape and np.array_equal(quantize(found), quantize(image))
 
@@ -124,7 +217,7 @@ def _holds(scene_path: Path, url: str, image: np.ndarray) -> bool:
 def named_files(scene_path: Path, everything: Iterable[nodes.Node]) -> set[Path]:
     """The files that the urls of textures name, seen from where the scene is written."""
     urls = {url for node in everything if isinstance(node, nodes.ImageTexture) for url in node.url if len(url) < 1000}
-    files = (_resolved(scene_path.parent / urllib.parse.unquote(url)) for url in urls)
+    files = (_resolved(scene_path.parent / name) for url in urls for name in spellings(url))
     return {file for file in files if file is not None}
 
 
@@ -148,22 +241,22 @@ def _is_free(path: Path) -> bool:
 
 
 def texture_url(
-    plan: TexturePlan, node: nodes.ImageTexture, new: nodes.ImageTexture, origin: Path | None, folder: Path | None
-) -> str | None:
-    """The url that a texture gets, or None if it keeps its own.
+    plan: TexturePlan, node: nodes.ImageTexture, new: nodes.ImageTexture, source: X3DSource | None
+) -> tuple[str, ...] | None:
+    """The urls that a texture gets, or None if it keeps its own.
 
     Args:
         plan: takes up what has to be written.
         node: the texture as it was read or built.
         new: the same with the texels that it has now.
-        origin: the file that it was read from, if any, and `folder`, the folder of its scene.
+        source: the file that is written back into, if any.
     """
     if new.image is None:
         return None
     if new.image is not node.image:
         return plan.written(new.image, (), node.name or "texture")
-    if origin is not None and folder is not None:
-        return plan.copied(origin, folder)
-    if node.url and node.url[0].startswith("data:"):
-        return None
-    return plan.written(new.image, node.url, node.name or "texture")
+    if source is None:
+        is_held = bool(node.url) and node.url[0].startswith("data:")
+        return None if is_held else plan.written(new.image, node.url, node.name or "texture")
+    origin = source.texture_files.get(node)
+    return plan.held(node.url) if origin is None else plan.copied(origin, ResourceFolder(source.path), node.url)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..scene import nodes
 from .x3d_fields import fields_of
+from .xml_elements import xml_text
 
 _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <!DOCTYPE X3D PUBLIC "ISO//Web3D//DTD X3D 3.3//EN" "http://www.web3d.org/specifications/x3d-3.3.dtd">
@@ -34,7 +35,10 @@ def write_x3d(children: Iterable[nodes.Node]) -> bytes:
     """The X3D file (version 3.3) that holds these nodes; fields at their default are left out.
 
     A node that appears more than once is written once and used again (USE), for which it gets a DEF name if it has
-    none; DEF names are made unique.
+    none; DEF names are made unique, with `_` for characters that XML cannot hold.
+
+    Raises:
+        ValueError: such a character in another field; says in which node's.
     """
     roots = tuple(children)
     writer = _Writer(_def_names(roots))
@@ -100,7 +104,10 @@ def _attributes(node: nodes.Node) -> dict[str, str]:
     for attribute, field in fields_of(kind).items():
         value = getattr(node, field.name)
         if attribute in _ALWAYS.get(kind.__name__, ()) or not _equal(value, getattr(default, field.name)):
-            found[attribute] = field.type.format(value)
+            text = found[attribute] = field.type.format(value)
+            if xml_text(text) != text:
+                where = xml_text(f"{node.label}.{field.name}")
+                raise ValueError(f"save: {where}: XML cannot hold a character of {value!r:.60}")
     return found
 
 
@@ -120,11 +127,11 @@ def _def_names(roots: tuple[nodes.Node, ...]) -> dict[nodes.Node, str]:
         order[node] = order.get(node, 0) + 1
         if order[node] == 1:
             stack.extend(reversed(child_nodes(node)))
-    taken = {node.name for node in order}
+    taken = {xml_text(node.name) for node in order}
     names: dict[nodes.Node, str] = {}
     given: set[str] = set()
     for node in sorted(order, key=lambda node: type(node).__name__ not in _ADDRESSED):
-        name, count = node.name, order[node]
+        name, count = xml_text(node.name), order[node]
         if name in given or (not name and count > 1):
             stem, number = name or type(node).__name__, 2 if name else 1
             while f"{stem}_{number}" in taken:

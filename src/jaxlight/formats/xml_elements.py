@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 from xml.etree.ElementTree import ParseError
 from xml.parsers import expat
@@ -12,6 +13,8 @@ from defusedxml.ElementTree import DefusedXMLParser
 
 from .errors import SceneFileError
 from .limits import MAX_ELEMENTS, MAX_NESTING
+
+_FORBIDDEN = re.compile("[^\\t\\n\\r -\\ud7ff\\ue000-\\ufffd\U00010000-\U0010ffff]")
 
 
 @dataclasses.dataclass(slots=True, eq=False)
@@ -65,6 +68,11 @@ def _own(attributes: dict[str, str]) -> dict[str, str]:
 def _local(name: str) -> str:
     """A name without its namespace (`{uri}Shape` -> `Shape`)."""
     return name.rpartition("}")[2]
+
+
+def xml_text(text: str) -> str:
+    """The text with `_` for each character that XML 1.0 cannot hold (its clause 2.2)."""
+    return _FORBIDDEN.sub("_", text)
 
 
 def parse_xml(path: Path, data: bytes) -> Element:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -52,17 +53,25 @@ def map_values(what: str, value: Any) -> tuple[np.ndarray, Literal["vector", "co
 def _stored(what: str, path: Path) -> np.ndarray:
     """The array of an .npy, or the one of an .npz that is named `what` or stands alone."""
     _check_size(path.stat().st_size)
-    content = np.load(path, allow_pickle=False)
-    if isinstance(content, np.ndarray):
-        return content
-    with content:
+    with path.open("rb") as file:
+        content = _read(lambda: np.load(file, allow_pickle=False))
+        if isinstance(content, np.ndarray):
+            return content
         names = list(content.files)
         name = what if what in names else names[0] if len(names) == 1 else None
         if name is None:
             raise ValueError(f"holds {', '.join(names)}; none is named {what!r}")
         if content.zip is not None:
             _check_size(sum(member.file_size for member in content.zip.infolist()))
-        return content[name]
+        return _read(lambda: content[name])
+
+
+def _read(load: Callable[[], Any]) -> Any:
+    """What NumPy loads; its own words for what it does not take advise to trust the file."""
+    try:
+        return load()
+    except ValueError:
+        raise ValueError("not a NumPy array file of numbers") from None
 
 
 def _check_size(size: int) -> None:

@@ -174,7 +174,7 @@ class _Stack:
         """`where` names the values, or those of a row, in the error that one is too large for the type."""
         wide = np.asarray(values, dtype=np.float64)
         largest = largest_of(self.dtype)
-        too_large = np.isfinite(wide) & (np.abs(wide) > largest)
+        too_large = ((wide > largest) | (wide < -largest)) & np.isfinite(wide)
         if np.any(too_large):
             place = tuple(np.argwhere(too_large)[0].tolist())
             name = where if isinstance(where, str) else where(place[0])
