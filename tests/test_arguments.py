@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from jaxlight import (
     Camera,
     Fit,
     Free,
+    LightingOptions,
     Orthographic,
     Scene,
     View,
@@ -22,6 +24,8 @@ from jaxlight import (
     fitted_values,
     nodes,
     rasterize,
+    shade,
+    sum_over_samples,
     write_report,
 )
 
@@ -81,6 +85,18 @@ OTHERS: list[tuple[Callable[[Scene, View, Fit], Any], str]] = [
     (lambda s, v, r: Camera.default(s).rays(0, 10), "rays: width: expected a whole number >= 1, got 0"),
     (lambda s, v, r: Camera.default(s).rays(3, 2.5), "rays: height: expected a whole number >= 1, got 2.5"),
     (lambda s, v, r: compare(v.target, v.target, peak=0), "compare: peak: expected a number > 0, got 0"),
+    (
+        lambda s, v, r: LightingOptions(support_level=np.array([1, 2])),
+        r"support_level: expected 1 or 2 or 3, got array",
+    ),
+    (lambda s, v, r: LightingOptions(support_level=np.array(3)), r"support_level: expected 1 or 2 or 3, got array"),
+    (lambda s, v, r: v.samples.in_storage_order("a"), "in_storage_order: expected numbers, got 'a'"),
+    (lambda s, v, r: sum_over_samples(3, s, v.samples), "function: expected a function of colours, got 3"),
+    (lambda s, v, r: sum_over_samples(lambda c, p: c, s, v.samples, "a"), r"planes\[0\]: expected numbers, got 'a'"),
+    (
+        lambda s, v, r: shade(s, jax.tree.map(lambda leaf: leaf[None], v.samples)),
+        r"samples: position_planes: expected shape \[1, 3, 64\], got \[1, 1, 3, 64\]: .* jax.vmap",
+    ),
     (lambda s, v, r: nodes.Switch(which_choice=0.9), "which_choice: expected a whole number, got 0.9"),
 ]
 

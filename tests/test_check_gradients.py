@@ -77,6 +77,17 @@ def test_where_all_fields_are_switched_off_nothing_is_checked(bits: str) -> None
     ]
 
 
+@pytest.mark.parametrize("of_samples", ["float64", "float32", "bfloat16"])
+@pytest.mark.parametrize("of_scene", ["float64", "float32", "float16"])
+def test_the_float_type_of_samples_decides(of_scene: str, of_samples: str) -> None:
+    with precision("float64"):
+        check = check_gradients(
+            sphere_scene(dtype=of_scene), sphere_samples(8, dtype=of_samples), "Material[body].diffuse_color"
+        )
+    assert check.passed and check.rows[0].largest > 0.1
+    assert check.dtype == ("float64" if of_samples == "float64" else "float32")
+
+
 @pytest.mark.parametrize(("factor", "flag"), [(1.01, True), (jnp.nan, True), (1.0, False)])
 def test_a_derivative_that_is_wrong_by_a_hundredth_is_flagged(
     monkeypatch: pytest.MonkeyPatch, factor: float, flag: bool

@@ -33,6 +33,10 @@ FUNCTIONS: dict[str, Callable[[jax.Array, jax.Array, jax.Array], Any]] = {
     "choices": lambda a, b, c: jnp.where((a > 1) & (b < c), jnp.sqrt(a), jnp.maximum(a, b)),
     "types": lambda a, b, c: (a > 1).astype(jnp.float32) + jax.lax.bitcast_convert_type(a, jnp.int32) % 7,
     "constants": lambda a, b, c: a + np.arange(3.0, dtype=np.float32),
+    "places": lambda a, b, c: (
+        jax.lax.with_sharding_constraint(a, jax.sharding.SingleDeviceSharding(jax.devices()[0])),
+        *jax.lax.optimization_barrier((b, c)),
+    ),
     "calls": lambda a, b, c: (jax.jit(jnp.tanh)(a), jax.checkpoint(jnp.sin)(b), jax.nn.relu(c - 1)),
 }
 

@@ -88,6 +88,8 @@ def test_derivatives_by_rows_are_those_by_planes(by_place: bool) -> None:
         ({"normal": np.zeros((3, COUNT))}, r"normal: expected shape \[5000, 3\], got \[3, 5000\]"),
         ({"position": np.zeros((COUNT + 1, 3))}, r"position: expected shape \[5000, 3\], got \[5001, 3\]"),
         ({"color": np.zeros((COUNT, 4))}, r"color: expected shape \[5000, 3\], got \[5000, 4\]"),
+        ({"normal": [[1, 2, 3], [1, 2]]}, r"normal: expected real numbers, got \[\[1, 2, 3\], \[1, 2\]\]"),
+        ({"normal": np.full((COUNT, 3), 1j)}, "normal: expected real numbers, got array"),
     ],
 )
 def test_rows_of_another_shape_are_refused(own: dict[str, np.ndarray], message: str) -> None:
@@ -95,17 +97,38 @@ def test_rows_of_another_shape_are_refused(own: dict[str, np.ndarray], message: 
         buffer(rows(1)).with_rows(**own)
 
 
+TEXELS = np.zeros((1, 4), int)
 ONE: dict[str, Any] = {"position": np.zeros((1, 3)), "normal": np.ones((1, 3)), "eye": (0, 0, 5)}
 
 
 @pytest.mark.parametrize(
     ("own", "message"),
     [
-        ({"dtype": int}, "dtype: expected a floating-point type such as 'float32', got <class 'int'>"),
-        ({"dtype": "float31"}, "dtype: expected a floating-point type such as 'float32', got 'float31'"),
+        ({"dtype": int}, "dtype: expected a floating-point type such as 'float32' .*, got <class 'int'>"),
+        ({"dtype": "float31"}, "dtype: expected a floating-point type such as 'float32' .*, got 'float31'"),
+        (
+            {"dtype": "float8_e4m3fn"},
+            "dtype: expected .*one of float64, float32, float16, bfloat16.*, got 'float8_e4m3fn'",
+        ),
         ({"tile": 2.0}, "tile: expected a whole number >= 1, got 2.0"),
         ({"tile": 3}, "tile: expected a power of two, got 3"),
         ({"position": [[1e39, 0, 0]], "dtype": "float32"}, "position: 1e\\+39 is larger than its type holds"),
+        ({"position": None}, "position: expected real numbers, got None"),
+        ({"position": [[1j, 0, 0]]}, r"position: expected real numbers, got \[\[1j, 0, 0\]\]"),
+        ({"color": [[1e39, 0, 0]], "dtype": "float32"}, "color: 1e\\+39 is larger than its type holds, 3.40282e\\+38"),
+        ({"texel_index": TEXELS, "texel_weight": 1e39 + TEXELS}, "texel_weight: 1e\\+39 is larger than its type holds"),
+        ({"camera_to_world": 1e39 * np.eye(3)}, "camera_to_world: 1e\\+39 is larger than its type holds"),
+        ({"pixel_to_world": 1e39 * np.eye(3)}, "pixel_to_world: 1e\\+39 is larger than its type holds"),
+        (
+            {"texel_index": TEXELS + 2**32 + 1, "texel_weight": TEXELS},
+            "texel_index: every index must be >= 0 and below 2147483648; got 4294967297 to 4294967297",
+        ),
+        ({"surface": 2**31}, "surface: every index must be >= 0 and below 2147483648"),
+        ({"surface": [[1], [1, 2]]}, r"surface: expected integers of shape \[1\] or one, got \[\[1\], \[1, 2\]\]"),
+        (
+            {"pixel": [0], "width": 2**16, "height": 2**15},
+            "pixel: expected fewer than 2147483648 pixels, got 65536 x 32768",
+        ),
         ({"coverage": [-0.5]}, r"coverage: expected shares in \[0, 1\], got -0.5 to -0.5"),
         ({"coverage": [5.0]}, r"coverage: expected shares in \[0, 1\], got 5.0 to 5.0"),
     ],
@@ -115,7 +138,7 @@ def test_what_makes_no_buffer_is_refused(own: dict[str, Any], message: str) -> N
         SampleBuffer.create(**ONE | own)
 
 
-@pytest.mark.parametrize("dtype", [int, "float31"])
+@pytest.mark.parametrize("dtype", [int, "float31", "float8_e5m2"])
 def test_a_scene_of_no_floats_is_refused(dtype: Any) -> None:
     with pytest.raises(ValueError, match="dtype: expected a floating-point type such as 'float32'"):
         Scene.from_nodes(nodes.PointLight(), dtype=dtype)

@@ -13,6 +13,7 @@ import numpy as np
 from ..lighting import LightingOptions, shade_planes
 from ..lighting.checks import check_samples
 from ..lighting.compiling import quick_jit
+from ..lighting.prepared import compute_dtype
 from ..raster.samples import SampleBuffer
 from ..scene import paths
 from ..scene.fields import positive, whole
@@ -90,8 +91,9 @@ def check_gradients(
 ) -> GradientCheck:
     """Compare forward and reverse derivatives of `shade` with central differences, a row a field.
 
-    The derivatives are taken in the scene's own precision, the differences always in float64 (64-bit numbers are
-    switched on for their computation only), with a second, halved step that tells kinks from errors.
+    The derivatives are taken in the precision in which `shade` computes, that of the samples, the differences always in
+    float64 (64-bit numbers are switched on for their computation only), with a second, halved step that tells kinks
+    from errors.
 
     Args:
         scene, samples: where to check.
@@ -115,8 +117,9 @@ def check_gradients(
     whole("seed", seed, at_least=0)
     chosen, switched_off = _checkable(scene, fields)
     skipped = tuple(field.path for field in switched_off)
-    dtype = jnp.result_type(float, *(field.leaf.get(scene) for field in [*chosen, *switched_off]))
-    single = np.dtype(dtype) != np.float64
+    dtype = compute_dtype(samples)
+    scene = jax.tree.map(lambda leaf: leaf.astype(dtype), scene)
+    single = dtype != np.float64
     limit = tolerance if tolerance is not None else (1e-3 if single else 1e-6)
     if not chosen:
         return GradientCheck((), skipped, limit, "float32" if single else "float64")

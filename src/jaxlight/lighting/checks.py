@@ -22,6 +22,7 @@ def check_samples(scene: Scene, samples: SampleBuffer) -> None:
     check_scene(scene)
     if not isinstance(samples, SampleBuffer):
         raise ValueError(f"samples: expected a SampleBuffer, got {type(samples).__name__}")
+    _check_shapes(samples)
     for row, _, _ in samples.runs:
         if row >= len(scene.surfaces):
             raise ValueError(f"samples: surface {row} asked for, but the scene has {len(scene.surfaces)} surfaces")
@@ -37,6 +38,29 @@ def check_samples(scene: Scene, samples: SampleBuffer) -> None:
                 f"samples: surface {row} has a texture, but the buffer has no texel_index and texel_weight"
             )
     _check_texels(scene, samples)
+
+
+def _check_shapes(samples: SampleBuffer) -> None:
+    """Several buffers stacked, as `jax.vmap` takes them, are no buffer."""
+    tiles = samples.runs[-1][2] if samples.runs else 0
+    slots, block = tiles * samples.tile, samples.group * samples.tile
+    expected = {
+        "position_planes": (tiles // samples.group, 3, block),
+        "normal_planes": (tiles // samples.group, 3, block),
+        "eye": (3,),
+        "tile_surface": (tiles,),
+        "tile_low": (3, tiles),
+        "tile_high": (3, tiles),
+        "cluster_low": (3, slots // samples.cluster),
+        "cluster_high": (3, slots // samples.cluster),
+    }
+    for name, shape in expected.items():
+        own = np.shape(getattr(samples, name))
+        if own != shape:
+            raise ValueError(
+                f"samples: {name}: expected shape {list(shape)}, got {list(own)}: "
+                "the leaves are not those of one buffer; shade several with jax.vmap"
+            )
 
 
 def _check_texels(scene: Scene, samples: SampleBuffer) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Hashable
 from typing import Literal
 
 
@@ -34,6 +35,7 @@ class LightingOptions:
             "accuracy": ("full", "fast"),
         }
         for name, values in allowed.items():
-            if getattr(self, name) not in values:
+            own = getattr(self, name)
+            if not isinstance(own, Hashable) or own not in values:  # an array would compare element by element
                 expected = " or ".join(map(repr, values))
-                raise ValueError(f"LightingOptions.{name}: expected {expected}, got {getattr(self, name)!r}")
+                raise ValueError(f"LightingOptions.{name}: expected {expected}, got {own!r}")

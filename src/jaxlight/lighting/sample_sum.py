@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 
 from ..raster.samples import LANES, SampleBuffer
 from ..scene import Scene
+from .in_shard_map import Axes, axes_of, is_inside, unaware, varying
 from .lanes import on_all_lanes, on_fewer_lanes, packed, summed, unpacked
 from .moved import moved_leaves
 from .one_tile import Color, tile_color
@@ -58,7 +59,9 @@ def sum_over_samples(
         ValueError: as `shade`; planes that are not in storage order; a function that gives no number for every sample.
     """
     scene, plan = checked(scene, samples, options, plan)
-    planes = tuple(map(jnp.asarray, planes))
+    if not callable(function):
+        raise ValueError(f"function: expected a function of colours, got {function!r:.60}")
+    planes = tuple(_plane(number, plane) for number, plane in enumerate(planes))
     for number, plane in enumerate(planes):
         if plane.shape[-1:] != (samples.slots,):
             raise ValueError(
@@ -78,7 +81,20 @@ def sum_over_samples(
         of_samples, numbers = operands[: len(planes) + 1], operands[len(planes) + 1 :]
         return jaxpr_as_fun(ClosedJaxpr(jaxpr.jaxpr, numbers))(*of_samples)[0]
 
-    return _sum(of_numbers_too, plan, scene, samples, planes, tuple(map(jnp.asarray, jaxpr.consts)))
+    numbers = tuple(map(jnp.asarray, jaxpr.consts))
+    if axes_of(numbers):  # that what it closes over varies, the function knows
+        return _whole(function, plan, scene, samples, planes, ())
+    axes = axes_of(scene, samples, planes)
+    # Outside of jit `jax.shard_map` takes no rule that asks for symbolic zeros.
+    summed = jax.jit(_sum, static_argnums=(0, 1, 2)) if is_inside() else _sum
+    return summed(of_numbers_too, plan, axes, *varying((scene, samples, planes, numbers), axes))
+
+
+def _plane(number: int, plane: Any) -> Array:
+    try:
+        return jnp.asarray(plane)
+    except (TypeError, ValueError):
+        raise ValueError(f"planes[{number}]: expected numbers, got {plane!r:.60}") from None
 
 
 Function = Callable[..., Array]
@@ -102,13 +118,27 @@ def _of_samples(values: Float[Array, "... samples"], is_sample: Array | None) ->
     return values if is_sample is None else jnp.where(is_sample, values, 0)
 
 
-_sum = jax.custom_vjp(_whole, nondiff_argnums=(0, 1))
+@partial(jax.custom_vjp, nondiff_argnums=(0, 1, 2))
+def _sum(function: Function, plan: Plan, axes: Axes, *operands: Any) -> Array:
+    return unaware(_whole, (function, plan), axes, *operands)
 
 
-def _forward(function: Function, plan: Plan, *operands: Any) -> tuple[Array, Any]:
-    """The sum, and derivatives by the operands: None by those of which none are asked."""
+def _forward(function: Function, plan: Plan, axes: Axes, *operands: Any) -> tuple[Array, Any]:
     asked = jax.tree.map(lambda operand: operand.perturbed, operands)
-    scene, samples, planes, numbers = jax.tree.map(lambda operand: operand.value, operands)
+    values = jax.tree.map(lambda operand: operand.value, operands)
+    return unaware(partial(_with_slope, function, plan, asked), (), axes, *values)
+
+
+def _with_slope(
+    function: Function,
+    plan: Plan,
+    asked: Any,
+    scene: Scene,
+    samples: SampleBuffer,
+    planes: tuple[Array, ...],
+    numbers: tuple[Array, ...],
+) -> tuple[Array, Any]:
+    """The sum, and derivatives by the operands: None by those of which none are asked."""
     of_scene, of_samples, of_planes, of_numbers = asked
     if not any(jax.tree.leaves((of_scene.textures, of_samples, of_planes))):
         value, slope = _by_tiles(function, plan, scene, samples, planes, numbers, (of_scene, of_numbers))
@@ -118,7 +148,7 @@ def _forward(function: Function, plan: Plan, *operands: Any) -> tuple[Array, Any
     return value, slope
 
 
-def _backward(function: Function, plan: Plan, slope: Any, cotangent: Array) -> Any:
+def _backward(function: Function, plan: Plan, axes: Axes, slope: Any, cotangent: Array) -> Any:
     return jax.tree.map(lambda own: cotangent.astype(own.dtype) * own, slope)
 
 

@@ -17,6 +17,7 @@ from .changes import moves, with_change, without_zeros
 from .checks import check_samples
 from .compiling import is_traced, jit_on_cpu
 from .cores import in_threads, shares_of
+from .in_shard_map import axes_of, unaware, varying
 from .mapped import mapped_axis_first
 from .options import LightingOptions
 from .plan import Plan, make_plan
@@ -99,7 +100,8 @@ def _shade(
 ) -> Array:
     scene, plan = checked(scene, samples, options, plan)
     if is_traced(scene, samples):
-        return _shaded(form, plan, scene, samples)
+        axes = axes_of(scene, samples)
+        return unaware(_shaded, (form, plan), axes, *varying((scene, samples), axes))
     if not _is_on_cpu(samples):
         return _formed_in_jit(form, plan, scene, samples)
     runs, shares = surface_runs(scene.surfaces, samples), shares_of(samples.slots)

@@ -82,6 +82,8 @@ def _results(applied: Applied, equation: Any, operands: list[Elements]) -> list[
     if isinstance(inner, Jaxpr):
         return _evaluated(applied, inner, [], operands)
     shape = equation.outvars[0].aval.shape
+    if name in _IDENTITIES:
+        return operands
     if name in _MOVES:
         return [_MOVES[name](operands, shape, params)]
     if name == "unstack":  # what later releases of JAX make of an array that is taken apart
@@ -120,6 +122,8 @@ _MOVES: dict[str, Callable[[list[Elements], tuple[int, ...], dict[str, Any]], El
     "stack": lambda operands, shape, params: np.stack(operands, axis=params["axis"]),
     "concatenate": lambda operands, shape, params: np.concatenate(operands, axis=params["dimension"]),
 }
+_IDENTITIES = {"layout_constraint", "name", "optimization_barrier", "pvary", "reshard", "sharding_constraint"}
+"""What says of arrays where they lie, how they are called or when they are computed: of numbers nothing."""
 _ARITHMETIC = {"abs", "add", "add_any", "div", "max", "min", "mul", "neg", "rem", "sign", "sub"}
 _ROUNDED = {"clamp", "convert_element_type", "copy", "floor", "round"}
 _FUNCTIONS = {"atan2", "cos", "integer_pow", "rsqrt", "sin", "sqrt", "square", "tanh"}

@@ -26,6 +26,8 @@ LANES = 64
 """Columns in which a tile's samples stand on the CPU; sample i of a tile is in lane i % LANES."""
 CLUSTER = 16
 """Samples, one after the other in a tile, that share a list of the lights that may reach them."""
+_INDICES = 2**31
+"""How many there are in an int32."""
 
 
 class SampleBuffer(eqx.Module):
@@ -109,7 +111,7 @@ class SampleBuffer(eqx.Module):
             tile: samples a tile, a power of two (default: chosen from N).
             by_place: store neighbours in space together, whatever the order of the rows. Worth it for many lights with
                 a small radius, of which a cluster of samples then meets few.
-            dtype: float type of the arrays (default: JAX's).
+            dtype: float64, float32, float16 or bfloat16, the type of the arrays (default: JAX's float type).
 
         Raises:
             ValueError: a shape, a type, a value or an index that does not fit; says which.
@@ -119,7 +121,7 @@ class SampleBuffer(eqx.Module):
         count = len(position)
         normal = _rows("normal", normal, (3,), count)
         eye = _vector("eye", eye, (3,))
-        surface = _indices("surface", np.full(count, surface) if np.ndim(surface) == 0 else surface, (count,))
+        surface = _indices("surface", surface, (count,), or_one=True)
         color = None if color is None else _rows("color", color, (3, 4), count)
         if (texel_index is None) != (texel_weight is None):
             raise ValueError("SampleBuffer: texel_index and texel_weight go together; one of them is missing")
@@ -131,6 +133,8 @@ class SampleBuffer(eqx.Module):
         if pixel is not None:
             if width is None or height is None:
                 raise ValueError("SampleBuffer: pixel needs width and height")
+            if width * height >= _INDICES:
+                raise ValueError(f"SampleBuffer: pixel: expected fewer than {_INDICES} pixels, got {width} x {height}")
             pixel = _indices("pixel", pixel, (count,), below=width * height)
         coverage = None if coverage is None else _vector("coverage", coverage, (count,))
         if coverage is not None and np.any((coverage < 0) | (coverage > 1 + 1e-6)):
@@ -142,9 +146,19 @@ class SampleBuffer(eqx.Module):
         if tile is not None and tile & (tile - 1):
             raise ValueError(f"SampleBuffer: tile: expected a power of two, got {tile}")
         largest = largest_of(dtype)
-        for name, numbers in (("position", position), ("normal", normal), ("eye", eye)):
-            if np.any(np.abs(numbers) > largest):
-                raise ValueError(f"SampleBuffer: {name}: {np.abs(numbers).max():g} is larger than its type holds")
+        stored = {
+            "position": position,
+            "normal": normal,
+            "eye": eye,
+            "color": color,
+            "texel_weight": texel_weight,
+            "camera_to_world": camera_to_world,
+            "pixel_to_world": pixel_to_world,
+        }
+        for name, numbers in stored.items():
+            if numbers is not None and np.any(np.abs(numbers) > largest):
+                most = np.abs(numbers).max()
+                raise ValueError(f"SampleBuffer: {name}: {most:g} is larger than its type holds, {largest:g}")
         layout = _layout(surface, tile, position if by_place else None)
 
         def planes(values: np.ndarray | None) -> Any:
@@ -199,9 +213,12 @@ class SampleBuffer(eqx.Module):
         """[..., N, ...] -> [..., slots, ...] along an axis, the opposite of `in_sample_order`; padding has the first.
 
         Raises:
-            ValueError: not as many values as samples.
+            ValueError: no numbers; not as many values as samples.
         """
-        values = jnp.asarray(values)
+        try:
+            values = jnp.asarray(values)
+        except (TypeError, ValueError):
+            raise ValueError(f"SampleBuffer: in_storage_order: expected numbers, got {values!r:.60}") from None
         if not -values.ndim <= axis < values.ndim or values.shape[axis] != self.count:
             expected = f"{self.count} along axis {axis}, one a sample"
             raise ValueError(f"SampleBuffer: in_storage_order: expected {expected}, got {list(values.shape)}")
@@ -245,9 +262,15 @@ class SampleBuffer(eqx.Module):
             if planes is None:
                 raise ValueError(f"SampleBuffer: {name}: the buffer has none that could be replaced")
             expected = (self.count, planes.shape[1])
-            if jnp.shape(own) != expected:
-                raise ValueError(f"SampleBuffer: {name}: expected shape {list(expected)}, got {list(jnp.shape(own))}")
-            changed[f"{name}_planes"] = self._with_rows_in(planes, jnp.asarray(own, planes.dtype))
+            try:
+                if jnp.issubdtype(getattr(own, "dtype", float), jnp.complexfloating):
+                    raise TypeError
+                given = jnp.asarray(own, planes.dtype)
+            except (TypeError, ValueError):
+                raise ValueError(f"SampleBuffer: {name}: expected real numbers, got {own!r:.60}") from None
+            if given.shape != expected:
+                raise ValueError(f"SampleBuffer: {name}: expected shape {list(expected)}, got {list(given.shape)}")
+            changed[f"{name}_planes"] = self._with_rows_in(planes, given)
         if position is not None:
             places = lax.stop_gradient(jnp.moveaxis(changed["position_planes"], 1, 0))
             for name, size in (("tile", self.tile), ("cluster", self.cluster)):
@@ -417,23 +440,31 @@ def _vector(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
 def _array(what: str, value: Any) -> np.ndarray:
     try:
         array = np.asarray(value)
+        if array.dtype.kind in "cOSU":  # complex numbers, objects such as None, strings
+            raise TypeError
         array = array if array.dtype == np.float32 else array.astype(np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"SampleBuffer: {what}: expected numbers, got {value!r:.60}") from None
+        raise ValueError(f"SampleBuffer: {what}: expected real numbers, got {value!r:.60}") from None
     if not np.all(np.isfinite(array)):
         bad = np.argwhere(~np.isfinite(array))[0].tolist()
         raise ValueError(f"SampleBuffer: {what}: every number must be finite; {what}{bad} is {array[tuple(bad)]}")
     return array
 
 
-def _indices(what: str, value: Any, shape: tuple[int, ...], below: int | None = None) -> np.ndarray:
-    """`value` as integers >= 0 (and < below) of the given shape."""
-    array = np.asarray(value)
+def _indices(
+    what: str, value: Any, shape: tuple[int, ...], *, below: int | None = None, or_one: bool = False
+) -> np.ndarray:
+    """`value` as integers >= 0 (and < below) of the given shape, or one for all."""
+    expected = f"integers of shape {list(shape)}{' or one' if or_one else ''}"
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"SampleBuffer: {what}: expected {expected}, got {value!r:.60}") from None
+    if or_one and array.ndim == 0:
+        array = np.full(shape, array)
     if array.shape != shape or not np.issubdtype(array.dtype, np.integer):
-        raise ValueError(
-            f"SampleBuffer: {what}: expected integers of shape {list(shape)}, got {array.dtype} {list(array.shape)}"
-        )
-    if array.size and (array.min() < 0 or (below is not None and array.max() >= below)):
-        allowed = ">= 0" if below is None else f"in [0, {below})"
+        raise ValueError(f"SampleBuffer: {what}: expected {expected}, got {array.dtype} {list(array.shape)}")
+    if array.size and (array.min() < 0 or array.max() >= (_INDICES if below is None else below)):
+        allowed = f">= 0 and below {_INDICES}" if below is None else f"in [0, {below})"
         raise ValueError(f"SampleBuffer: {what}: every index must be {allowed}; got {array.min()} to {array.max()}")
     return array.astype(np.int64)

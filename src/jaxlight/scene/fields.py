@@ -122,14 +122,17 @@ def largest_of(dtype: Any) -> float:
     return float(jnp.finfo(jnp.result_type(float) if dtype is None else dtype).max)
 
 
+_FLOATS = tuple(map(jnp.dtype, (jnp.float64, jnp.float32, jnp.float16, jnp.bfloat16)))
+
+
 def float_type(where: str, value: Any) -> jnp.dtype | None:
-    """A type of floating-point numbers; None, JAX's own, stays."""
-    allowed = "a floating-point type such as 'float32'"
+    """A type of floating-point numbers that shading takes; None, JAX's own, stays."""
+    allowed = f"a floating-point type such as 'float32' (one of {', '.join(dtype.name for dtype in _FLOATS)})"
     try:
         dtype = None if value is None else jnp.dtype(value)
     except TypeError:
         raise _refuse(where, value, allowed) from None
-    if dtype is not None and not jnp.issubdtype(dtype, jnp.floating):
+    if dtype is not None and dtype not in _FLOATS:
         raise _refuse(where, value, allowed)
     return dtype
 

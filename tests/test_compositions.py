@@ -1,0 +1,177 @@
+"""Shading inside of what JAX has for several devices: values and derivatives are those of one device."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.sharding import AxisType, PartitionSpec
+
+from jaxlight import SampleBuffer, Scene, nodes, shade, sum_over_samples
+from jaxlight.lighting import Plan, make_plan
+from jaxlight.raster.samples import MANY_LIGHTS
+
+SHARED, OWN = PartitionSpec(), PartitionSpec("i")
+FACTOR = np.float32(1.5)
+
+Loss = Callable[[Scene, SampleBuffer, jax.Array], jax.Array]
+
+
+def scene_under_lights(count: int, fog_type: str = "LINEAR") -> Scene:
+    """A sphere with highlights in fog; many lights are small."""
+    body = nodes.Material(specular_color=(0.3, 0.4, 0.5))
+    own: dict[str, Any] = {"radius": 0.7} if count >= MANY_LIGHTS else {"radius": 100}
+    height = 0.5 if count >= MANY_LIGHTS else 3
+    lamps = [nodes.PointLight(location=(0.1 * k - count / 20, 0, height), **own) for k in range(count)]
+    shape = nodes.Shape(appearance=nodes.Appearance(material=body), geometry=nodes.Sphere())
+    scene = Scene.from_nodes([shape, *lamps, nodes.Fog(visibility_range=20, fog_type=fog_type)])
+    return dataclasses.replace(scene, document=None)
+
+
+def buffer(seed: int) -> SampleBuffer:
+    position, normal = np.random.default_rng(seed).normal(size=(2, 50, 3))
+    return SampleBuffer.create(position, normal, [0, 0, 5], tile=8, by_place=True)
+
+
+def own(samples: SampleBuffer) -> SampleBuffer:
+    """That of one device."""
+    return jax.tree.map(lambda leaf: leaf[0], samples)
+
+
+def of_colors(plan: Plan) -> Loss:
+    def loss(scene: Scene, samples: SampleBuffer, factor: jax.Array) -> jax.Array:
+        return jnp.sum((factor * shade(scene, samples, plan=plan)[:, :3]) ** 2)
+
+    return loss
+
+
+def tile_by_tile(plan: Plan) -> Loss:
+    def loss(scene: Scene, samples: SampleBuffer, factor: jax.Array) -> jax.Array:
+        return sum_over_samples(lambda color: (factor * color[:3]) ** 2, scene, samples, plan=plan)
+
+    return loss
+
+
+def assert_close(got: Any, wanted: Any) -> None:
+    for one, other in zip(jax.tree.leaves(got), jax.tree.leaves(wanted), strict=True):
+        np.testing.assert_allclose(one, other, rtol=2e-5, atol=2e-5 * max(1e-2, float(jnp.max(jnp.abs(other)))))
+
+
+def on_two_devices(lights: int, *, whole: bool) -> None:
+    """`whole`: with every way to ask for derivatives."""
+    mesh = jax.make_mesh((2,), ("i",), axis_types=(AxisType.Auto,))
+    scene, buffers = scene_under_lights(lights), [buffer(1), buffer(2)]
+    plan = make_plan(scene, buffers[0], free=True)
+    assert plan.culled is (lights >= MANY_LIGHTS)
+    samples = jax.tree.map(lambda *leaves: jnp.stack(leaves), *buffers)
+
+    def mapped(function: Callable[..., Any], given: Any, out: Any = OWN) -> Callable[..., Any]:
+        return jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=out)
+
+    def colors(samples: SampleBuffer) -> jax.Array:
+        return shade(scene, own(samples), plan=plan)[None]
+
+    wanted = jnp.stack([shade(scene, one, plan=plan) for one in buffers])
+    assert_close(jax.jit(mapped(colors, OWN))(samples), wanted)
+    if whole:
+        assert_close(mapped(colors, OWN)(samples), wanted)
+
+    for loss in (of_colors(plan), tile_by_tile(plan)):
+
+        def on_each(scene: Scene, samples: SampleBuffer, factor: jax.Array, loss: Loss = loss) -> jax.Array:
+            return jax.lax.psum(loss(scene, own(samples), factor), "i")
+
+        def slope_on_each(scene: Scene, samples: SampleBuffer, factor: jax.Array, loss: Loss = loss) -> Any:
+            return jax.grad(lambda scene: loss(scene, own(samples), factor))(scene)
+
+        def on_one(scene: Scene, factors: jax.Array, loss: Loss = loss) -> jax.Array:
+            return sum(
+                (loss(scene, one, factor) for one, factor in zip(buffers, factors, strict=True)), start=jnp.zeros(())
+            )
+
+        alone = jax.jit(jax.value_and_grad(on_one, (0, 1)))
+        value, (slope, by_factors) = alone(scene, jnp.full(2, FACTOR))
+        total = mapped(on_each, (SHARED, OWN, SHARED), SHARED)
+        found = jax.jit(jax.value_and_grad(total, (0, 2)))(scene, samples, FACTOR)
+        assert_close(found, (value, (slope, jnp.sum(by_factors))))
+        assert_close(jax.jit(mapped(slope_on_each, (SHARED, OWN, SHARED), SHARED))(scene, samples, FACTOR), slope)
+        if whole:
+            assert_close(total(scene, samples, FACTOR), value)
+            assert_close(jax.grad(total)(scene, samples, FACTOR), slope)
+            # A factor for each device, of different losses.
+            factors = jnp.array([1.5, 0.5])
+            total = mapped(lambda *all: on_each(*all[:2], all[2][0]), (SHARED, OWN, OWN), SHARED)
+            found = jax.jit(jax.value_and_grad(total, (0, 2)))(scene, samples, factors)
+            assert_close(found, alone(scene, factors))
+
+
+@pytest.mark.parametrize(("lights", "whole"), [(1, True), (40, False)])
+def test_devices_of_a_mesh_that_keeps_account_of_what_varies(lights: int, whole: bool) -> None:
+    """In one loop, and with lists of lights."""
+    call = f"from test_compositions import on_two_devices; on_two_devices({lights}, whole={whole})"
+    command = [sys.executable, "-c", f"import sys; sys.path.insert(0, sys.argv[1]); {call}", str(Path(__file__).parent)]
+    two = {**os.environ, "XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    done = subprocess.run(command, env=two, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("fog_type", ["LINEAR", "EXPONENTIAL"])
+@pytest.mark.parametrize("lights", [1, 12])
+def test_a_mesh_of_explicit_axes(lights: int, fog_type: str) -> None:
+    scene, samples = scene_under_lights(lights, fog_type), buffer(1)
+    wanted = shade(scene, samples)
+    with jax.set_mesh(jax.make_mesh((1,), ("i",))):
+        np.testing.assert_array_equal(shade(scene, samples), wanted)
+
+
+def test_pmap() -> None:
+    scene, samples = scene_under_lights(1), buffer(1)
+    stack = jax.tree.map(lambda leaf: leaf[None], samples)
+    np.testing.assert_allclose(jax.pmap(lambda own: shade(scene, own))(stack)[0], shade(scene, samples), rtol=1e-5)
+
+
+def programs_of(function: Callable[[], Any]) -> int:
+    """How many programs are compiled by a call."""
+    compiled: list[str] = []
+    listening = True
+
+    def listen(event: str, *_: Any, **__: Any) -> None:
+        if listening and "backend_compile" in event:
+            compiled.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    jax.block_until_ready(function())
+    listening = False
+    return len(compiled)
+
+
+def test_numbers_recompile_only_where_they_change_what_is_skipped() -> None:
+    """And never inside jit, or with one plan."""
+    scene, samples = scene_under_lights(2), buffer(1)
+    assert scene.point is not None and scene.materials is not None
+
+    def with_place(*place: float) -> Scene:
+        assert scene.point is not None
+        return dataclasses.replace(
+            scene, point=dataclasses.replace(scene.point, location=scene.point.location.at[1].set(jnp.array(place)))
+        )
+
+    black = jnp.zeros_like(scene.materials.specular_color)
+    dull = dataclasses.replace(scene, materials=dataclasses.replace(scene.materials, specular_color=black))
+    near, far = with_place(1.0, 0.0, 3.0), with_place(500.0, 0.0, 0.0)
+    plan, compiled = make_plan(scene, samples, free=True), jax.jit(lambda scene: shade(scene, samples))
+    ways: list[Callable[[Scene], jax.Array]] = [lambda scene: shade(scene, samples, plan=plan), compiled]
+    shade(scene, samples)
+    assert [programs_of(lambda own=own: shade(own, samples)) for own in (near, far, dull)] == [0, 1, 1]
+    for way in ways:
+        way(scene)
+        assert [programs_of(lambda own=own, way=way: way(own)) for own in (near, far, dull)] == [0, 0, 0]
