@@ -84,6 +84,7 @@ BAD_WORDS = {
     "huge image": (("render", "scene.x3d", "--output", "a.png", "--width", "10000000"), "width"),
     "no such file": (("info", "nope.x3d"), "nope.x3d: no such file"),
     "a folder": (("info", "."), "expected a file"),
+    "a pipe": (("info", "pipe.x3d"), "pipe.x3d: is a pipe or a device; only files are read"),
     "no such viewpoint": (("render", "scene.x3d", "--output", "a.png", "--viewpoint", "back"), "front, side"),
     "not a picture": (("render", "scene.x3d", "--output", "a.xyz"), ".png"),
     "broken scene": (("info", "broken.x3d"), "broken.x3d"),
@@ -97,6 +98,7 @@ def test_bad_input_is_one_line_and_status_2(run, case: str) -> None:
     Path("broken.x3d").write_text(SCENE[: len(SCENE) // 2])
     Path("bad.x3d").write_text(SCENE.replace('shininess="0.3"', 'shininess="much"'))
     Path("notes.txt").write_text("dear diary")
+    os.mkfifo("pipe.x3d")
     args, part = BAD_WORDS[case]
     result = run(*args)
     assert result.status == 2

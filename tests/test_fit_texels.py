@@ -14,6 +14,7 @@ from jaxlight import Free, SampleBuffer, Scene, View, fit, fitted_values, nodes,
 from jaxlight.fit import chosen, normal
 from jaxlight.fit.curvature import ArrowCurvature
 from jaxlight.fit.problem import make_problem
+from jaxlight.fit.uncertainty import uncertainty
 
 TEXELS, SIZE = 12, 36
 SKIN = "Texture[skin].image"
@@ -168,6 +169,26 @@ def test_texels_stay_in_their_bounds_and_what_no_sample_sees_stays() -> None:
         assert result.converged, result.message
         assert image.max() == 0.8 and image.min() >= 0
         np.testing.assert_array_equal(image[:, -3:], 0.5)
+        known = result.uncertainty
+        said = "48 of 144 texels of Texture[skin].image are seen in no view: what is not seen keeps its start"
+        assert known.messages() == [said] and not known.well_posed
+        for held in ({"smoothness": 0.1}, {"deviation": 0.1}):
+            found = fit(start(dtype), view, [Free(SKIN, upper=0.8, **held)], max_steps=1).uncertainty
+            assert found.unseen_texels == () and found.well_posed
+
+
+@pytest.mark.parametrize("bits", ["float32", "float64"])
+def test_an_ambiguity_is_named_where_a_texel_of_it_lies_on_a_bound(bits: str) -> None:
+    body: dict[str, Any] = {"specular_color": (0.0, 0.0, 0.0)}
+    bright = skin() / skin().max()
+    with precision(bits) as dtype:
+        seen = views(scene(bright, dtype, **body), dtype)
+        best = fit(scene(bright, dtype, **body), seen, [SKIN, "PointLight[*].intensity"])
+        values = np.asarray(best.state.values, np.float64)
+        for rounding in (-4, 4):
+            strength = np.where(np.arange(len(values)) < 2, 1 + rounding * np.finfo(dtype).eps, 1)
+            found = uncertainty(best.problem, best.description, (values * strength).astype(dtype))
+            assert np.any(values == 1) and not found.well_posed and found.rank == 1, found.messages()
 
 
 @pytest.mark.parametrize("prior", ["smoothness", "total_variation"])

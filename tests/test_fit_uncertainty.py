@@ -140,6 +140,61 @@ def test_numbers_at_a_bound_are_told_and_taken_as_known() -> None:
     assert f"{DIFFUSE}.r lies on its upper bound" in found.messages()
 
 
+@pytest.mark.parametrize("bits", ["float32", "float64"])
+@pytest.mark.parametrize("levels", [0, 255])
+def test_an_ambiguity_is_named_where_one_of_its_numbers_lies_on_a_bound(bits: str, levels: int) -> None:
+    """Whatever the rounding of the values, which the slope at the bound is made of."""
+    free = ["PointLight[key].intensity", DIFFUSE, SPECULAR]
+    sentence = f"{DIFFUSE} and {SPECULAR} {TRADED} PointLight[key].intensity: {PRODUCT}"
+    picture = sphere_picture(SIZE)
+    picture = np.round(picture * levels) / levels if levels else picture
+    body = material(diffuse_color=(1.0, 0.5, 1 / 3), specular_color=(5 / 6, 2 / 3, 0.5))
+    with precision(bits) as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), picture)
+        start = sphere_scene(key_light(intensity=0.54), body=body, dtype=dtype)
+        best = fit(start, view, free)
+        assert best.labels[:2] == ("PointLight[key].intensity", f"{DIFFUSE}.r")
+        values = best.values.astype(np.float64)
+        values = np.array([values[0] * values[1], *values[1:] / values[1]])
+        for rounding in (-16, -4, 4, 16):
+            rounded = values * (1 + rounding * np.finfo(dtype).eps * np.eye(7)[0])
+            found = uncertainty(best.problem, best.description, rounded.astype(dtype))
+            assert sentence in found.messages() and (f"{DIFFUSE}.r", "upper") in found.at_bound
+            assert found.rank == 6 and not found.well_posed and np.all(np.isinf(found.standard_error))
+
+
+def test_lights_that_together_are_pressed_to_nothing_are_known() -> None:
+    """They can be traded for each other, but neither can be less than 0."""
+    dark = [key_light(intensity=0.0), key_light(name="twin", intensity=0.0)]
+    with precision("float64") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, *dark, noise=0.01) - 0.1)
+        found = fit(sphere_scene(key_light(), TWIN, dtype=dtype), view, ["PointLight[*].intensity"]).uncertainty
+    assert found.well_posed and found.rank == 0 and len(found.at_bound) == 2
+    np.testing.assert_array_equal(found.standard_error, 0)
+
+
+def test_a_bound_holds_only_what_the_pictures_want_beyond_it_by_more_than_their_noise() -> None:
+    """The true value lies on the bound: noise decides on which side of it the optimum is."""
+    body = material(diffuse_color=(1.0, 0.3, 0.2))
+    errors = []
+    with precision("float64") as dtype:
+        for seed in range(8):
+            view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, body=body, noise=0.01, seed=seed))
+            errors.append(fit(sphere_scene(body=body, dtype=dtype), view, [DIFFUSE]).uncertainty.standard_error[0])
+    np.testing.assert_allclose(errors, np.mean(errors), rtol=0.1)
+
+
+def test_a_light_of_no_strength_is_nowhere() -> None:
+    free = ["PointLight[key].location", "PointLight[key].intensity"]
+    with precision("float64") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), np.zeros((SIZE, SIZE, 3)))
+        problem, description = make_problem(sphere_scene(dtype=dtype), view, free)
+        # What a fit of a black picture may end with, where it rounds to 0.
+        found = uncertainty(problem, description, np.array([*np.asarray(problem.parameters.start)[:3], 4e-16]))
+    assert found.unseen == tuple(f"PointLight[key].location.{axis}" for axis in "xyz")
+    assert found.rank == 1 and np.all(np.isinf(found.standard_error[:3]))
+
+
 def test_a_number_at_the_end_of_an_endless_range_is_not_called_hardly_seen() -> None:
     """The picture is brighter than the light without falloff: attenuation[1] is held at 0, and known."""
     path = "PointLight[key].attenuation[1]"

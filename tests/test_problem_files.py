@@ -177,6 +177,24 @@ MISTAKES = {
     "no exposure": ("mask =", "exposure = -1\nmask =", "10: views[1].exposure: expected a finite number > 0, got -1"),
     "no noise": ("mask =", "noise = 0\nmask =", "10: views[1].noise: every standard deviation must be finite and > 0"),
     "no such light": ("mask =", 'lights = ["PointLight[zz]"]\nmask =', "10: views[1].lights: the scene has no 'PointL"),
+    "no such view": ("free = [", 'free = ["View[zz].exposure", ', "2: free[0]: there is no field 'View[zz].exposure'"),
+    "no field of a view": (
+        "free = [",
+        'free = ["View[side].expo", ',
+        "2: free[0]: there is no field 'View[side].expo'",
+    ),
+    "all masked": ("mask =", 'name = "lone"\nmask =', "8: views[1]: mask, weight and coverage leave no point to fit"),
+    "one name for two": (
+        '"mask.png"',
+        '"mask.png"\nname = "front"\n[[views]]\npicture = "side.png"\nname = "front"',
+        "14: views[2].name: 'front' is named twice",
+    ),
+    "no samples": (
+        "mask =",
+        "samples = 0\nmask =",
+        "10: views[1].samples: expected a whole number of samples a pixel in [1, 256]",
+    ),
+    "a scale of squares": ("[start]", "loss_scale = 0\n[start]", "4: loss_scale: squares have none; leave it out"),
     "no path": ('path = "Material[body].diffuse_color"', "path = []", "free: expected a path or several, got ()"),
 }
 
@@ -190,6 +208,8 @@ def test_a_mistake_is_one_line_with_file_line_and_key(
     Image.new("L", (4, 4), 255).save(folder / "small.png")
     path = folder / "problem.toml"
     path.write_text(GOOD.replace(old, new, 1))
+    if case == "all masked":
+        Image.new("L", (SIZE, SIZE), 0).save(folder / "mask.png")
     assert main(["fit", str(path), "--output", str(folder / "fitted")]) == 2
     said = capsys.readouterr().err
     assert said.startswith(f"jaxlight: error: {path}:") and said.count("\n") == 1
@@ -207,6 +227,13 @@ def test_bytes_that_are_no_text_and_endless_nesting_and_digits(folder: Path) -> 
     (folder / "a.toml").write_text("seed = " + "1" * 9000)
     with pytest.raises(SceneFileError, match=r"a\.toml: a number of too many digits"):
         ProblemFile(folder / "a.toml")
+
+
+def test_a_byte_order_mark_before_the_text_is_no_text(folder: Path) -> None:
+    (folder / "problem.toml").write_text(GOOD, encoding="utf-8-sig")
+    file = ProblemFile(folder / "problem.toml")
+    assert len(file.problem.views) == 2
+    assert str(file.error(("scene",), "bad")).endswith("problem.toml:1: scene: bad")
 
 
 def test_a_link_out_of_the_folder_is_refused(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -1,3 +1,3 @@
 """The command line: `jaxlight info`, `render`, `fit`, `gradcheck`, and in a checkout `stress`."""
 
-from .app import main as main
+from .entry import main as main

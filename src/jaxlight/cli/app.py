@@ -23,6 +23,13 @@ from .stress import Stress
 
 COMMANDS = {"info": Info, "render": Render, "fit": Fit, "gradcheck": Gradcheck, "stress": Stress}
 
+_MISREAD = {
+    r"invalid literal for int\(\) with base 10: ('.*')": "a whole number",
+    r"could not convert string to float: ('.*')": "a number",
+    r"no type matching \{None\}\|FLOAT could be instantiated from \[('.*')\]": "a number",
+}
+"""What Python and tyro say of words that are no numbers, and what they expected."""
+
 HELP = """\
 usage: jaxlight COMMAND [OPTIONS]
 
@@ -110,7 +117,10 @@ def _condensed(boxed: str) -> str:
             sections[-1].append(text.strip())
     hints = [section[:2] for section in sections[1:] if section and section[0].startswith("Perhaps")]
     parts = [sections[0] or ["cannot read the arguments"], *hints[:1]]
-    return "; ".join(" ".join(part).removesuffix(".") for part in parts)
+    text = "; ".join(" ".join(part).removesuffix(".") for part in parts)
+    for misread, expected in _MISREAD.items():
+        text = re.sub(rf"Error parsing (\S+): {misread}", rf"\1: expected {expected}, got \2", text)
+    return text
 
 
 def _sentence(error: BaseException) -> str:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from .files import files_of_scene, spare
 from .fit_views import make_views
+from .interrupts import Interrupts
 from .options import use_precision
 from .problem import FitProblem, Source, blamed_by_name, blamed_on, input_files
 from .progress import stages
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 MAX_ROWS = 60
 """Numbers listed on the terminal."""
+LOSS_SCALE = 0.02
 _HEADING = (
     f"{'step':>5} {'loss':>12} {'residual':>12} {'gradient':>10} {'step norm':>10} {'damping':>9} {'seconds':>8} "
     f"{'left':>8}"
@@ -72,40 +74,44 @@ class FitJob:
         if method is not None and self.resume:
             raise ValueError(f"--resume: the solver {problem.solver} has no checkpoints")
         frees = [dataclasses.asdict(one) for one in problem.frees]
-        with blamed_by_name(source, [view.name for view in views], problem.frees):
-            result = fit(
-                scene,
-                views,
-                [Free(one.pop("path"), **one) for one in frees],
-                loss=problem.loss,
-                loss_scale=None if problem.loss == "squares" else problem.loss_scale,
-                options=problem.reading.lighting_options(),
-                max_steps=problem.max_steps,
-                rtol=problem.rtol,
-                atol=problem.atol,
-                starts=problem.starts,
-                seed=problem.seed,
-                method=method,
-                progress=None if self.quiet else _StepLines(),
-                log=log,
-                checkpoint=None if method is not None else checkpoint,
-                checkpoint_seconds=problem.checkpoint_seconds,
-                resume=self.resume,
-                overwrite=self.overwrite,
-            )
-        if not result.history:
-            print(result.message, file=sys.stderr)
-            return INTERRUPTED
-        self._write(result, views, results, warned)
-        print(_summary(result))
-        print(f"\nwritten: {', '.join(str(path) for path in results)}")
-        if result.outcome == "interrupted":
-            return INTERRUPTED
-        return SUCCESS if result.converged else FAILURE
+        with Interrupts() as interrupts:
+            with blamed_by_name(source, [view.name for view in views], problem.frees):
+                result = fit(
+                    scene,
+                    views,
+                    [Free(one.pop("path"), **one) for one in frees],
+                    loss=problem.loss,
+                    loss_scale=_loss_scale(problem),
+                    options=problem.reading.lighting_options(),
+                    max_steps=problem.max_steps,
+                    rtol=problem.rtol,
+                    atol=problem.atol,
+                    starts=problem.starts,
+                    seed=problem.seed,
+                    method=method,
+                    progress=interrupts.watched(None if self.quiet else _StepLines()),
+                    log=log,
+                    checkpoint=None if method is not None else checkpoint,
+                    checkpoint_seconds=problem.checkpoint_seconds,
+                    resume=self.resume,
+                    overwrite=self.overwrite,
+                )
+            interrupts.hold()
+            if not result.history:
+                print(result.message, file=sys.stderr)
+                return INTERRUPTED
+            self._write(result, views, results, warned)
+            print(_summary(result))
+            print(f"\nwritten: {', '.join(str(path) for path in results)}")
+            if interrupts.came or result.outcome == "interrupted":
+                return INTERRUPTED
+            return SUCCESS if result.converged else FAILURE
 
     def _folder(self) -> Path:
         """What can be said before anything is read."""
         problem = self.problem
+        if self.resume and self.overwrite:
+            raise ValueError("--overwrite: expected --resume or --overwrite, not both")
         if problem.output is None:
             raise self.source.error(("output",), "expected a folder for the results")
         if not problem.views:
@@ -169,6 +175,11 @@ def _heard() -> Iterator[list[str]]:
         yield heard
     finally:
         warnings.showwarning = shown
+
+
+def _loss_scale(problem: FitProblem) -> float | None:
+    """The scale that was asked for, or that of a loss which needs one."""
+    return LOSS_SCALE if problem.loss_scale is None and problem.loss != "squares" else problem.loss_scale
 
 
 def _method(problem: FitProblem) -> Any:

@@ -22,9 +22,10 @@ def make_views(problem: FitProblem, source: Source, scene: jaxlight.Scene) -> li
     views = []
     known: dict[Any, Any] = {}
     stems = [view.picture.stem for view in problem.views]
+    given = [view.name for view in problem.views]
     for row, view in enumerate(problem.views):
         stem = view.picture.stem
-        name = view.name or (stem if stems.count(stem) == 1 else f"{stem}_{row}")
+        name = view.name or (stem if stems.count(stem) == 1 and stem not in given else f"{stem}_{row}")
         views.append(_make_view(view, name, row, source, scene, known))
     return views
 
@@ -60,8 +61,13 @@ def _make_view(
         target, mask = target[..., :-1], opaque if mask is None else mask & opaque
     where = (view.viewpoint, view.camera, view.maps, view.samples, width, height)
     if where not in known:
-        with blamed_on(source, "views", row, *_geometry_key(view)):
+        try:
             known[where] = _samples(view, scene, width, height)
+        except ValueError as error:
+            name, _, message = str(error).partition(": ")
+            if name == "samples":
+                raise source.error(("views", row, name), message) from None
+            raise source.error(("views", row, *_geometry_key(view)), str(error)) from None
     # Integer formats end at 1; what lies there may have been brighter.
     ends_at_one = view.picture.suffix.lower() != ".exr"
     return View(

@@ -18,6 +18,9 @@ OUTPUT = "a folder that need not exist"
 Numbers = float | tuple[float, ...]
 Vector = tuple[float, float, float]
 
+OF_ALL_VIEWS = (("samples",), ("saturated",))
+"""Entries of a view that are an option of the same name for all of them."""
+
 
 class Source(Protocol):
     """Where the words come from: it knows how to say what is wrong with which of them."""
@@ -31,8 +34,10 @@ class CommandLine:
     """Options; an entry is called by its option."""
 
     def error(self, key: Key, message: str) -> ValueError:
-        """`--free: message`, `--start: path: message`; what belongs to a picture names that itself."""
-        option = f"--{str(key[0]).replace('_', '-')}: " if key and key[0] != "views" else ""
+        """`--free: message`, `--start: path: message`; what belongs to the scene or one picture names that itself."""
+        if key[:1] == ("views",):
+            return ValueError(f"--{key[2]}: {message}" if key[2:] in OF_ALL_VIEWS else message)
+        option = f"--{str(key[0]).replace('_', '-')}: " if key and key[0] != "scene" else ""
         path = f"{key[1]}: " if option and len(key) > 1 and isinstance(key[1], str) else ""
         return ValueError(f"{option}{path}{message}")
 
@@ -43,8 +48,8 @@ class FitSettings:
 
     loss: Literal["squares", "huber", "cauchy"] = "squares"
     """Huber and Cauchy forgive what the scene cannot explain."""
-    loss_scale: float = 0.02
-    """Residual from which huber and cauchy forgive."""
+    loss_scale: float | None = None
+    """Residual from which huber and cauchy forgive (default: 0.02)."""
     solver: Literal["levenberg-marquardt", "bfgs", "lbfgs"] = "levenberg-marquardt"
     """The bounded Levenberg-Marquardt, or a minimiser that only approaches bounds and cannot be resumed."""
     max_steps: int = 100
@@ -178,13 +183,19 @@ def blamed_by_name(source: Source, views: Sequence[str], free: Sequence[FreeProb
         name, _, message = text.partition(": ")
         if name in ("free", *(field.name for field in dataclasses.fields(FitSettings))):
             raise source.error((name,), message) from None
-        of_view = re.fullmatch(r"View\[(.*)\]\.(\w+)", name)
-        if of_view and of_view[1] in views and not isinstance(source, CommandLine):
-            raise source.error(("views", views.index(of_view[1]), of_view[2]), message) from None
+        number = re.fullmatch(r"views\[(\d+)\]\.(\w+)", name)
+        if number and not isinstance(source, CommandLine):
+            raise source.error(("views", int(number[1]), number[2]), message) from None
+        of_view = re.fullmatch(r"View\[(.*?)\](?:\.(\w+))?", name)
+        field = () if of_view is None or of_view[2] is None else (of_view[2],)
+        known = set(field) <= {one.name for one in dataclasses.fields(ViewProblem)}
+        told = field in OF_ALL_VIEWS or not isinstance(source, CommandLine)
+        if of_view and of_view[1] in views and known and told:
+            raise source.error(("views", views.index(of_view[1]), *field), message) from None
         rows = [
             row
             for row, one in enumerate(free)
-            if any(text.startswith(tuple(p + end for end in ": .[")) for p in one.paths)
+            if any(text.startswith((f"there is no field {p!r};", *(p + end for end in ": .["))) for p in one.paths)
         ]
         raise source.error(("free", rows[0]) if rows else (), text) from None
 

@@ -34,7 +34,7 @@ class ProblemFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            text = read_bounded(path).decode().replace("\r\n", "\n")
+            text = read_bounded(path).decode("utf-8-sig").replace("\r\n", "\n")
             content = tomllib.loads(text)
             self._lines = key_lines(text)
         except UnicodeDecodeError as error:

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 from .problem import Numbers
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from jaxlight import Scene
+    from jaxlight.scene.paths import Leaf
 
 
 def parse_assignment(text: str) -> tuple[str, Numbers]:
@@ -26,6 +29,15 @@ def parse_assignment(text: str) -> tuple[str, Numbers]:
     return path, values
 
 
+def _components(leaf: Leaf, mask: np.ndarray) -> list[int]:
+    """How many components of each row are meant: of a node, of the fog, or of a texture's texels."""
+    import numpy as np
+
+    rows = mask.reshape(-1, mask.shape[-1]) if leaf.kind == "Texture" else mask
+    rows = rows.reshape(1 if leaf.kind == "Fog" else len(rows), -1)
+    return [size for size in np.count_nonzero(rows, axis=1).tolist() if size]
+
+
 def with_start_values(scene: Scene, path: str, given: Numbers) -> Scene:
     """The scene with the numbers that a path means set: one for all, or one a component.
 
@@ -41,8 +53,10 @@ def with_start_values(scene: Scene, path: str, given: Numbers) -> Scene:
     for leaf, mask in select(scene, path):
         numbers = np.array(leaf.get(scene))
         count = int(np.count_nonzero(mask))
-        if not len(values) or count % len(values):
-            raise ValueError(f"expected 1 or {count} numbers, got {len(values)}")
+        for components in _components(leaf, mask):
+            if len(values) not in (1, components):
+                allowed = "1 number" if components == 1 else f"1 or {components} numbers"
+                raise ValueError(f"expected {allowed}, got {len(values)}")
         allowed = leaf.range
         low = values <= allowed.lower if allowed.open_below else values < allowed.lower
         if not np.all(np.isfinite(values)) or np.any(low | (values > allowed.upper)):

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..scene import paths
 from ..scene.paths import Range
+from ..scene.scene import Scene
 from .parameters import World
 
 MIN_BLOCK = 64
@@ -68,6 +69,8 @@ def choose(
     for path in each:
         if not (isinstance(path, str) or callable(path)):
             raise ValueError(f"free: expected a field path or a function of the scene, got {path!r:.80}")
+        if callable(path) and not any(np.any(mask) for _, mask in paths.select(catalogue.scene, [path])):
+            raise ValueError("free: a function of the scene chooses nothing of it")
     exposures = [path for path in each if isinstance(path, str) and path.startswith("View[")]
     chosen = []
     selections = paths.select(catalogue.scene, [path for path in each if path not in exposures])
@@ -91,6 +94,21 @@ def choose(
             name = f"View[{view_names[row] or row}].exposure"
             chosen.append(Chosen(name, name, None, row, 0, row, paths.POSITIVE))
     return chosen, textures
+
+
+def canonical(scene: Scene, path: str) -> str:
+    """A path as `labels` has it: `Material[body].shininess` for `Material[0].shininess`; others as they are."""
+    try:
+        ((leaf, mask),) = paths.select(scene, path)
+    except ValueError:
+        return path
+    meant = [field for field in paths.fields(scene) if field.leaf == leaf and np.any(mask[field.index])]
+    if len(meant) != 1:
+        return path
+    inside = np.flatnonzero(mask[meant[0].index])
+    if len(inside) == np.size(mask[meant[0].index]):
+        return meant[0].path
+    return meant[0].labels(scene)[inside[0]] if len(inside) == 1 else path
 
 
 def _exposure_rows(path: str, view_names: Sequence[str]) -> list[int]:

@@ -18,7 +18,9 @@ from ..lighting import LightingOptions
 from ..scene.fields import non_negative, whole
 from ..scene.scene import Scene
 from .checkpoint import Checkpoint, CheckpointWarning
+from .chosen import canonical
 from .earlier import spare_unfinished
+from .interrupts import held_back
 from .minimisers import check_minimiser, minimise
 from .outcomes import Outcome, message_of, outcome_of
 from .pictures import residual_image
@@ -78,14 +80,17 @@ class Fit:
         return self.state.accepted
 
     def value(self, path: str) -> np.ndarray:
-        """The fitted value of one free field, by its canonical path; of a whole texture its colours.
+        """The fitted value of one free field or of a component, by its path; of a whole texture its colours.
 
         Raises:
             ValueError: the field was not free.
         """
+        path = canonical(self.scene, path)
         for field in self.description.fields:
             if field.path == path:
                 return self.values[field.numbers].reshape(-1 if len(field.numbers) > 1 else ())
+            if path in field.labels:
+                return self.values[field.numbers[field.labels.index(path)]]
         for block in self.problem.parameters.blocks:
             if block.path == path:
                 return np.asarray(block.image(self.state.values))
@@ -271,10 +276,11 @@ def run_fit(
     except BaseException as error:
         record.fail(error)
         raise
-    if steps:  # before the first, a resumed fit had better explore its random starts itself
-        record.save(state, steps)
-    made = make_fit(problem, description, state, steps, interrupted=interrupted)
-    record.end(made.outcome, made.message, loss=made.loss, rms=made.rms, values=made.values)
+    with held_back():
+        if steps:  # before the first, a resumed fit had better explore its random starts itself
+            record.save(state, steps)
+        made = make_fit(problem, description, state, steps, interrupted=interrupted)
+        record.end(made.outcome, made.message, loss=made.loss, rms=made.rms, values=made.values)
     return made
 
 
@@ -287,7 +293,7 @@ def make_fit(
     interrupted: bool = False,
 ) -> Fit:
     """The result for a state, finished or not."""
-    outcome = outcome_of(state, interrupted)
+    outcome = outcome_of(state, interrupted, fits=_fits(problem, description, state))
     world = _world_at(problem, state.values)
     value = history[-1].loss if history else math.nan
     rms = step_rms(value, description.residuals)
@@ -305,6 +311,13 @@ def make_fit(
         description=description,
         state=state,
     )
+
+
+def _fits(problem: Problem, description: Description, state: FitState) -> bool:
+    """Whether what is left is rounding, or the noise that is stated: nothing a fit could explain."""
+    loss = float(state.solver.loss)
+    rounding = (16 * np.finfo(problem.parameters.start.dtype).eps) ** 2 * float(problem.signal)
+    return loss <= max(rounding, description.residuals if description.noise_known else 0)
 
 
 @eqx.filter_jit

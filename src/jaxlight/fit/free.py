@@ -14,7 +14,7 @@ from ..arrays import array_of
 from ..scene import paths
 from ..scene.fields import number
 from ..scene.paths import Path
-from .chosen import Catalogue, Chosen, choose
+from .chosen import MIN_BLOCK, Catalogue, Chosen, choose
 from .parameters import FreeField, FreeLeaf, Parameters, TexelBlock, World
 
 
@@ -75,7 +75,8 @@ def free_parameters(
         if not chosen and textures:
             continue
         if request.smoothness is not None or request.total_variation is not None:
-            raise ValueError(f"{chosen[0].path}: smoothness and total_variation are for whole textures, not tied")
+            kind = f"whole textures of at least {MIN_BLOCK} colours" + (" that are not tied" if request.tied else "")
+            raise ValueError(f"{chosen[0].path}: smoothness and total_variation are for {kind}")
         rows = list(dict.fromkeys(one.path for one in chosen))
         _check_lengths(request, chosen)
         if request.tied not in (True, False, "all"):

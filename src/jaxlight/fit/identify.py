@@ -17,7 +17,7 @@ from .parameters import FreeField
 
 Kept = Literal["product", "ratio", "sum", "difference", "direction", "combination"]
 
-_NULL = 1e-10
+NULL = 1e-10
 """Eigenvalue of the scaled matrix, computed in float64, below which a direction counts as not seen."""
 _UNSEEN = 1e-14
 """Change of all pictures with a number, of its size and relative to the greatest such, that is rounding."""
@@ -74,8 +74,8 @@ def analyse(curvature: np.ndarray, held: np.ndarray, scale: np.ndarray, size: np
     use = np.flatnonzero(~unseen & ~held)
     scaled = curvature[np.ix_(use, use)] / (scale[use][:, None] * scale[use][None, :])
     eigenvalues, vectors = np.linalg.eigh(scaled) if len(use) else (np.zeros(0), np.zeros((0, 0)))
-    null = np.zeros((int(np.count_nonzero(eigenvalues < _NULL)), len(curvature)))
-    null[:, use] = vectors[:, eigenvalues < _NULL].T
+    null = np.zeros((int(np.count_nonzero(eigenvalues < NULL)), len(curvature)))
+    null[:, use] = vectors[:, eigenvalues < NULL].T
     return Seen(unseen, null, eigenvalues, scale)
 
 

@@ -13,15 +13,16 @@ from .residuals import LossKind
 from .run import FitState
 from .steps import Step
 
-Outcome = Literal["converged", "max_steps", "stalled", "nonfinite", "interrupted"]
+Outcome = Literal["converged", "max_steps", "stalled", "unseen", "nonfinite", "interrupted"]
 
 
-def outcome_of(state: FitState, interrupted: bool) -> Outcome:
-    """How a fit ended that stands at this state."""
+def outcome_of(state: FitState, interrupted: bool, *, fits: bool) -> Outcome:
+    """How a fit ended that stands at this state; `fits`: what is left there is no more than rounding or noise."""
     if bool(state.solver.result == optx.RESULTS.nonfinite):
         return "nonfinite"
     if bool(state.solver.terminate):
-        return "converged"
+        seen = np.any(state.solver.curvature.diagonal())
+        return "converged" if seen or fits else "unseen"
     if bool(state.solver.result == optx.RESULTS.nonlinear_divergence):
         return "stalled"
     return "interrupted" if interrupted else "max_steps"
@@ -41,13 +42,13 @@ def message_of(outcome: Outcome, state: FitState, history: Sequence[Step], rms: 
             f"Converged in {trials} to a kink of the equation (samples where a light sets), within a tenth of a "
             f"standard error of the optimum; {left}."
         )
-    if outcome == "converged" and state.accepted == 0 and not np.any(state.solver.curvature.diagonal()):
-        return f"Converged in {trials}: near the start no picture changes with any free number; {left}."
     return {
         "converged": f"Converged in {trials}; {left}.",
         "max_steps": f"Not converged: stopped after {trials}, the most that were allowed; {left}.",
         "stalled": f"Not converged: after {trials} no step lowers the residual any more, although its slope says one "
         f"should; {left}. The start may lie at a jump of the equation (a light's radius or cone).",
+        "unseen": f"Not converged: after {trials} no picture changes with any free number, near the "
+        f"{'start' if state.accepted == 0 else 'end'}; {left}.",
         "nonfinite": "Failed: the loss or its derivative is not finite at the start values.",
         "interrupted": f"Interrupted after {trials}, not converged; the best values so far are kept; {left}.",
     }[outcome]

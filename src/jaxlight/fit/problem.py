@@ -105,8 +105,11 @@ def make_problem(
     if loss != "squares":
         positive(f"loss_scale: for the {loss} loss", loss_scale)
     elif loss_scale is not None:
-        raise ValueError(f"loss_scale: squares have none; expected None, or a loss that has, got {loss_scale!r:.60}")
+        raise ValueError(
+            f"loss_scale: squares have none; leave it out or choose 'huber' or 'cauchy', got {loss_scale!r:.60}"
+        )
     names = [view.name for view in each]
+    _check_names(names)
     dtype = _float_type(scene)
     _check_finite(scene)
     exposures = [exposure_of(view, row) for row, view in enumerate(each)]
@@ -134,11 +137,20 @@ def make_problem(
         loss_kind=loss,
         settles=loss == "squares"
         and not parameters.blocks
-        and all(view.saturated is None and view.dark is None for view in each),
+        and all(bool(np.isinf(one.saturated)) and bool(np.isinf(one.dark)) for one in data),
     )
     noise_known = all(view.noise is not None for view in each)
     part = WHOLE if parameters.blocks else choose_part(data, scene.surfaces)
     return problem, Description(fields, labels, names, count, noise_known, part, scene.document)
+
+
+def _check_names(names: Sequence[str]) -> None:
+    """Each view is called by another name, those without one by their number."""
+    called = [name or str(row) for row, name in enumerate(names)]
+    for row, name in enumerate(called):
+        if name in called[:row]:
+            named = row if names[row] else called.index(name)
+            raise ValueError(f"views[{named}].name: {name!r} is named twice")
 
 
 def _columns(scene: Scene, parameters: Parameters, views: list[ViewData], dtype: Any) -> Columns:

@@ -17,6 +17,7 @@ import numpy as np
 from ..lighting.compiling import quick_jit
 from . import normal
 from .curvature import ArrowCurvature, as_curvature
+from .held import SIGNIFICANT, held_by_bounds, pseudo_inverse
 from .identify import Ambiguity, Partner, ambiguities, analyse
 from .leftover import Leftover, leftover
 from .problem import Description, Problem
@@ -31,13 +32,24 @@ class Correlation(NamedTuple):
     """In [-1, 1]."""
 
 
+class UnseenTexels(NamedTuple):
+    """Texels of a whole texture that neither pictures nor priors or neighbours determine."""
+
+    path: str
+    count: int
+    total: int
+    entirely: bool
+    """Whether no colour of any of them is seen."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Uncertainty:
     """What a fit knows of each free number, in the order of its labels."""
 
     labels: tuple[str, ...]
     standard_error: np.ndarray
-    """Infinite where the pictures do not determine the number; 0 where a bound holds it."""
+    """Infinite where the pictures do not determine the number; 0 where a bound holds it, against pictures that want it
+    beyond by three standard errors and more."""
     covariance: np.ndarray
     """[numbers, numbers] over the directions that are seen; 0 for held and unseen numbers, NaN if noise is unknown."""
     noise: float
@@ -56,15 +68,22 @@ class Uncertainty:
     """Pairs above 0.99 in absolute value, the strongest first."""
     remarks: tuple[str, ...] = ()
     """What the errors rest on, where it may not be what was meant."""
+    unseen_texels: tuple[UnseenTexels, ...] = ()
+    """Of each whole texture that has some."""
 
     @property
     def well_posed(self) -> bool:
         """True if the pictures determine every free number."""
-        return not self.unseen and not self.ambiguities
+        return not self.unseen and not self.ambiguities and not self.unseen_texels
 
     def messages(self) -> list[str]:
         """What a person should know before believing the numbers, a sentence each; none if all is well."""
         lines = [f"{label} is not seen: the pictures do not change with it near its value" for label in self.unseen]
+        lines += [
+            f"{count} of {total} texels of {path} are seen in no view"
+            f"{'' if entirely else ', or not in all their colours'}: what is not seen keeps its start"
+            for path, count, total, entirely in self.unseen_texels
+        ]
         lines += self.remarks
         lines += [ambiguity.text for ambiguity in self.ambiguities]
         lines += [f"{label} lies on its {side} bound" for label, side in self.at_bound]
@@ -93,23 +112,25 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
         values: all fitted numbers (`FitState.values`).
     """
     count = problem.parameters.few
+    rounding = jnp.finfo(problem.parameters.start.dtype).eps
     with jax.enable_x64(True):
         wide = widened(problem)
         at = jnp.asarray(np.asarray(values), jnp.float64)
-        reduced = jax.tree.map(lambda a: np.asarray(a, np.float64), _reduced(wide, at))
+        known = jnp.asarray(description.noise_known)
+        reduced = jax.tree.map(lambda a: np.asarray(a, np.float64), _reduced(wide, at, known, jnp.asarray(rounding)))
         left = None if description.noise_known else Leftover(*map(float, leftover(wide, at)))
     found = np.asarray(values, np.float64)
     lower, upper = (np.asarray(a, np.float64)[:count] for a in (problem.parameters.lower, problem.parameters.upper))
     texels, found = found[count:], found[:count]
     labels = description.labels
     on_lower, on_upper = found <= lower, found >= upper
-    # A bound holds a number back only if the slope presses against it by more than rounding.
-    gradient, curvature, lengths = reduced.gradient, reduced.curvature, reduced.lengths
-    pressing = np.abs(gradient) > 1e-6 * lengths * np.sqrt(2 * float(reduced.loss))
-    held = pressing & ((on_lower & (gradient > 0)) | (on_upper & (gradient < 0)))
-    seen = analyse(curvature, held, lengths, np.where(reduced.sizes > 0, reduced.sizes, 1))
+    curvature, lengths = reduced.curvature, reduced.lengths
+    sizes = np.where(reduced.sizes > 0, reduced.sizes, 1)
+    side = on_upper.astype(int) - on_lower
+    held = held_by_bounds(curvature, reduced.gradient, lengths, sizes, side, float(reduced.noise))
+    seen = analyse(curvature, held, lengths, sizes)
     rank = int(np.count_nonzero(~held & ~seen.unseen)) - len(seen.null)
-    inverse = _pseudo_inverse(curvature, seen.scale, ~held & ~seen.unseen, len(seen.null))
+    inverse = pseudo_inverse(curvature, seen.scale, ~held & ~seen.unseen, len(seen.null))
     fitted = rank - float(np.diagonal(inverse) @ reduced.precision) + float(reduced.texels)
     noise, variance = (1.0, 1.0) if left is None else _noise(left, fitted)
     is_known = np.isfinite(noise)
@@ -139,13 +160,15 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
         hardly_seen=tuple((labels[i], float(error[i])) for i in np.flatnonzero(hardly).tolist()),
         correlations=tuple(_correlations(covariance, labels, traded)),
         remarks=() if left is None else tuple(_remarks(problem, left.count, fitted)),
+        unseen_texels=tuple(_unseen_texels(problem, reduced.rows)),
     )
 
 
 class _Reduced(NamedTuple):
     """What the pictures say of the labelled numbers, texels eliminated."""
 
-    loss: Any
+    noise: Any
+    """Standard deviation of a residual: 1 if it is stated, else from all that is left; at least what is rounded."""
     gradient: Any
     curvature: Any
     answers: Any
@@ -155,7 +178,9 @@ class _Reduced(NamedTuple):
     precision: Any
     """Of the priors of the labelled numbers."""
     sizes: Any
-    """See `Strides.sizes`."""
+    """See `Strides.sizes`; the larger one of those at the start and at the values."""
+    rows: Any
+    """[texels]: sums of the rows of the texels' curvature; 0 where nothing determines a texel."""
     texels: Any
     """How many texels the pictures determine: of one that a prior holds as well, the pictures' share of it."""
 
@@ -188,45 +213,52 @@ def _remarks(problem: Problem, residuals: float, fitted: float) -> list[str]:
 
 
 @quick_jit
-def _reduced(problem: Problem, values: Any) -> _Reduced:
-    parameters = problem.parameters
+def _reduced(problem: Problem, values: Any, noise_known: Any, eps: Any) -> _Reduced:
+    parameters, count = problem.parameters, problem.parameters.few
     loss, gradient, matrix = normal.normal_equations(problem, values)
-    curvature, count = as_curvature(matrix), parameters.few
+    curvature = as_curvature(matrix)
     diagonal = curvature.diagonal()
+    left = jnp.where(noise_known, 1, jnp.sqrt(2 * loss / problem.count))
+    noise = jnp.maximum(left, eps * jnp.sqrt(2 * problem.signal / problem.count))
     lengths = jnp.sqrt(jnp.maximum(diagonal[:count], 0))
-    precision, sizes = parameters.prior_precision, problem.strides.sizes(values)[:count]
+    precision = parameters.prior_precision
+    sizes = jnp.maximum(problem.strides.sizes(values), problem.strides.sizes(parameters.start))[:count]
+    rows = diagonal[count:]
     if not isinstance(curvature, ArrowCurvature):
-        texels = jnp.zeros(())
-        return _Reduced(loss, gradient, matrix, jnp.zeros((0, count)), lengths, precision, sizes, texels)
+        none = jnp.zeros((0, count))
+        return _Reduced(noise, gradient, matrix, none, lengths, precision, sizes, rows, jnp.zeros(()))
+    # What presses a texel against its bound must be more than noise and the rounding of the values.
+    size = jnp.abs(values)
+    rounded = eps * (rows * size[count:] + jnp.matmul(jnp.abs(curvature.cross), size[:count]))
+    pressing = jnp.abs(gradient[count:]) > SIGNIFICANT * noise * jnp.sqrt(rows) + 8 * rounded
     on_lower, on_upper = values <= parameters.lower, values >= parameters.upper
-    held = (on_lower & (gradient > 0)) | (on_upper & (gradient < 0))
-    reduced, answers = curvature.eliminated(problem.sampling, ~held[count:])
+    held = pressing & ((on_lower & (gradient > 0)) | (on_upper & (gradient < 0)))[count:]
+    reduced, answers = curvature.eliminated(problem.sampling, ~held)
+    slope = gradient[:count] + jnp.matmul(gradient[count:], answers, precision="highest")
     smooth = [
         jnp.zeros(block.size) if neighbours is None else neighbours.degree().reshape(-1)
         for block, neighbours in zip(parameters.blocks, curvature.neighbours, strict=True)
     ]
     degree = jnp.concatenate(smooth)
-    pictures = diagonal[count:] - precision[count:] - 2 * degree  # rounded, if priors are all there is
-    said = (pictures > 1e-9 * diagonal[count:]) & ~held[count:]
+    pictures = rows - precision[count:] - 2 * degree  # rounded, if priors are all there is
+    said = (pictures > 1e-9 * rows) & ~held
     share = pictures / jnp.where(said, pictures + precision[count:] + degree, 1)
     texels = jnp.sum(jnp.where(said, share, 0))
-    return _Reduced(loss, gradient[:count], reduced, answers, lengths, precision[:count], sizes, texels)
+    return _Reduced(noise, slope, reduced, answers, lengths, precision[:count], sizes, rows, texels)
+
+
+def _unseen_texels(problem: Problem, rows: np.ndarray) -> list[UnseenTexels]:
+    found = []
+    for block, start in zip(problem.parameters.blocks, _offsets(problem), strict=True):
+        dark = rows[start : start + block.size].reshape(-1, block.shape[2]) == 0
+        partly, entirely = (int(np.count_nonzero(each)) for each in (dark.any(axis=1), dark.all(axis=1)))
+        if partly:
+            found.append(UnseenTexels(block.path, partly, len(dark), partly == entirely))
+    return found
 
 
 def _offsets(problem: Problem) -> list[int]:
     return [block.offset - problem.parameters.few for block in problem.parameters.blocks]
-
-
-def _pseudo_inverse(curvature: np.ndarray, scale: np.ndarray, use: np.ndarray, nulls: int) -> np.ndarray:
-    """Inverse over the numbers in `use`, without the `nulls` directions that are not seen."""
-    rows = np.flatnonzero(use)
-    inverse = np.zeros_like(curvature)
-    if len(rows) > nulls:
-        scaled = curvature[np.ix_(rows, rows)] / (scale[rows][:, None] * scale[rows][None, :])
-        eigenvalues, vectors = np.linalg.eigh(scaled)
-        vectors = vectors[:, nulls:] / scale[rows][:, None]
-        inverse[np.ix_(rows, rows)] = (vectors / eigenvalues[nulls:]) @ vectors.T
-    return inverse
 
 
 def _correlations(covariance: np.ndarray, labels: list[str], traded: np.ndarray) -> list[Correlation]:

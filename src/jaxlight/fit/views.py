@@ -110,7 +110,7 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         weight = weight / noise**2
     background = None
     if view.background is not None:
-        refuse_levels(f"{label}.background", view.background)
+        _refuse_levels(f"{label}.background", view.background)
         background = _numbers(f"{label}.background", view.background)
         background = background[None].repeat(layout.points, 0) if background.shape == (3,) else None
         if background is None:
@@ -119,7 +119,7 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
             raise ValueError(f"{label}.background: every number must be finite")
     elif layout.covered is not None:
         mask &= layout.covered > 1 - 1e-6
-    refuse_levels(f"{label}.target", view.target)
+    _refuse_levels(f"{label}.target", view.target)
     target = layout.points_of("target", view.target)
     used = mask & np.any(weight > 0, axis=1)
     bad = used & ~np.all(np.isfinite(target), axis=1)
@@ -128,6 +128,10 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
             f"{label}.target: {np.count_nonzero(bad)} of {np.count_nonzero(used)} used points are not finite "
             f"(first: {layout.where(int(np.argmax(bad)))}); leave them out with `mask`"
         )
+    smallest = float(jnp.finfo(dtype).tiny)
+    if np.any(used) and not np.any(weight[used] >= smallest):
+        field, what = ("weight", "every weight") if view.weight is not None else ("noise", "every weight 1 / noise^2")
+        raise ValueError(f"{label}.{field}: {what} is less than {smallest:.2g}, the smallest of {np.dtype(dtype)}")
     if not np.any(used):
         raise ValueError(f"{label}: mask, weight and coverage leave no point to fit")
     saturated, dark = (
@@ -162,8 +166,18 @@ def exposure_of(view: View, row: int) -> float:
     return positive(f"View[{view.name or row}].exposure", view.exposure)
 
 
+def _refuse_levels(where: str, value: Any) -> None:
+    """Raise ValueError for levels, also for those in wider integers: whole numbers above 1."""
+    refuse_levels(where, value)
+    kind = getattr(value, "dtype", None)
+    if kind is not None and np.issubdtype(kind, np.integer) and np.any(np.asarray(value) > 1):
+        raise ValueError(f"{where}: got {kind} above 1; divide by the largest level (255 of 8 bits) or use read_image")
+
+
 def _numbers(where: str, value: Any) -> np.ndarray:
     try:
+        if np.asarray(value).dtype.kind in "cSUmM":  # NumPy would take real parts, read texts and count days
+            raise ValueError
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise ValueError(f"{where}: expected numbers, got {value!r:.60}") from None
@@ -234,11 +248,13 @@ class _Layout:
             if array.shape in [(*shape, *tail) for tail in tails]:
                 rows = array.reshape(int(np.prod(shape)), -1)
                 return rows[self.image_index] if len(shape) == 2 and self.image_index is not None else rows
-        allowed = " or ".join(str([*shape, *([] if grey else [3])]) for shape in shapes)
+        told = ((), (3,)) if field in ("weight", "noise") else ((),) if grey else ((3,),)
+        allowed = "shape " + " or ".join(str([*shape, *tail]) for tail in told for shape in shapes)
+        allowed = f"one number or an array of {allowed}" if field == "noise" else allowed
         hint = ""
         if field == "target" and array.shape in [(*shape, tail) for shape in shapes for tail in (2, 4)]:
             hint = "; the last channel, alpha, can go into the mask: target[..., :-1], mask=target[..., -1]"
-        raise ValueError(f"{self.label}.{field}: expected shape {allowed}, got {list(array.shape)}{hint}")
+        raise ValueError(f"{self.label}.{field}: expected {allowed}, got {list(array.shape)}{hint}")
 
     def stored(self, rows: np.ndarray, dtype: Any) -> Any:
         """[points, channels] -> planes [channels, stored points], padding 0."""

@@ -1,0 +1,57 @@
+"""Which numbers a bound holds: those that the pictures would move beyond it.
+
+What presses a number against its bound is the slope that is left when the numbers that are not held have gone to their
+best: g_i - H_iF H_FF^-1 g_F, with the curvature H_ii - H_iF H_FF^-1 H_Fi. The rounding of the fitted values drops out
+of it. Where that curvature is 0, the others undo whatever the number does: then no bound holds it, it can be traded.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .identify import NULL, analyse
+
+SIGNIFICANT = 3.0
+"""Standard errors by which the pictures must want a number beyond its bound."""
+
+
+def held_by_bounds(
+    curvature: np.ndarray,
+    gradient: np.ndarray,
+    scale: np.ndarray,
+    size: np.ndarray,
+    side: np.ndarray,
+    noise: float,
+) -> np.ndarray:
+    """True for the numbers that a bound holds.
+
+    Args:
+        curvature, scale, size: as for `analyse`.
+        gradient: slope of the loss, texels eliminated.
+        side: -1 for numbers on their lower bound, 1 on their upper, 0 on none.
+        noise: standard deviation of a residual.
+    """
+    held = side * gradient < 0
+    while np.any(held):
+        seen = analyse(curvature, held, scale, size)
+        inverse = pseudo_inverse(curvature, scale, ~held & ~seen.unseen, len(seen.null))
+        answers = curvature @ inverse
+        slope = gradient - answers @ gradient
+        bend = np.maximum(np.diagonal(curvature) - np.sum(answers * curvature, axis=1), 0)
+        pressed = (side * slope < 0) & (bend > NULL * scale**2) & (np.abs(slope) > SIGNIFICANT * noise * np.sqrt(bend))
+        if np.all(pressed[held]):
+            break
+        held &= pressed
+    return held
+
+
+def pseudo_inverse(curvature: np.ndarray, scale: np.ndarray, use: np.ndarray, nulls: int) -> np.ndarray:
+    """Inverse over the numbers in `use`, without the `nulls` directions that are not seen."""
+    rows = np.flatnonzero(use)
+    inverse = np.zeros_like(curvature)
+    if len(rows) > nulls:
+        scaled = curvature[np.ix_(rows, rows)] / (scale[rows][:, None] * scale[rows][None, :])
+        eigenvalues, vectors = np.linalg.eigh(scaled)
+        vectors = vectors[:, nulls:] / scale[rows][:, None]
+        inverse[np.ix_(rows, rows)] = (vectors / eigenvalues[nulls:]) @ vectors.T
+    return inverse

@@ -1,0 +1,68 @@
+"""Words of `jaxlight fit` that are refused by the name of their option, and start values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fit_scenes import sphere_picture
+from jaxlight import Scene, nodes, write_image
+from jaxlight.cli import main
+from jaxlight.cli.start_values import with_start_values
+
+SCENE = """<X3D version="3.3"><Scene>
+  <NavigationInfo headlight="false"/>
+  <Viewpoint position="0 0 4"/>
+  <PointLight DEF="key" location="1.5 2 3"/>
+  <Shape><Appearance><Material DEF="body" shininess="0.2"/></Appearance><Sphere/></Shape>
+</Scene></X3D>
+"""
+BAD: dict[str, tuple[list[str], str]] = {
+    "no samples": (["--samples", "0"], "--samples: expected a whole number of samples a pixel in [1, 256], got 0"),
+    "no saturation": (["--saturated", "nan"], "--saturated: expected a number, got nan"),
+    "begin and go on": (["--resume", "--overwrite"], "--overwrite: expected --resume or --overwrite, not both"),
+    "a scale of squares": (["--loss-scale", "3"], "--loss-scale: squares have none; leave it out"),
+    "steps in words": (["--max-steps", "abc"], "--max-steps: expected a whole number, got 'abc'"),
+    "a tolerance in words": (["--rtol", "abc"], "--rtol: expected a number, got 'abc'"),
+    "a scene that is none": ([], "bad.x3d:5: "),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_is_wrong_is_called_by_its_option(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("scene.x3d").write_text(SCENE)
+    Path("bad.x3d").write_text(SCENE.replace('shininess="0.2"', 'shininess="much"'))
+    write_image("target.png", np.clip(sphere_picture(24), 0, 1))
+    options, said = BAD[case]
+    scene = "scene.x3d" if options else "bad.x3d"
+    words = [scene, "target.png", "--output", "fitted", "--free", "Material[body].diffuse_color"]
+    assert main(["fit", *words, *options]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"jaxlight: error: {said}") and error.count("\n") == 1
+    assert not Path("fitted").exists()
+
+
+def test_start_values_are_counted_node_by_node() -> None:
+    balls = [nodes.Appearance(material=nodes.Material()), nodes.Appearance(material=nodes.Material())]
+    shapes = [nodes.Shape(appearance=one, geometry=nodes.Sphere()) for one in balls]
+    scene = Scene.from_nodes([*shapes, nodes.PointLight(), nodes.Fog()])
+    for path, given in (("Material[*].diffuse_color", (0.1, 0.2, 0.9)), ("Material[*].shininess", (0.3,))):
+        changed = with_start_values(scene, path, given)
+        name = path.partition(".")[2]
+        np.testing.assert_allclose(getattr(changed.materials, name).reshape(2, -1), [given, given], rtol=1e-6)
+    np.testing.assert_allclose(with_start_values(scene, "Fog.color", (0.1, 0.2, 0.3)).fog.color, (0.1, 0.2, 0.3))
+    np.testing.assert_allclose(
+        with_start_values(scene, "Material[1].diffuse_color.g", (0.1,)).materials.diffuse_color[:, 1], (0.8, 0.1)
+    )
+    for path, given in (
+        ("Material[*].diffuse_color", (0.1, 0.9)),
+        ("Material[*].diffuse_color", (0.1,) * 6),
+        ("Material[*].shininess", (0.1, 0.9)),
+    ):
+        with pytest.raises(ValueError, match=f"expected 1.* number.*, got {len(given)}"):
+            with_start_values(scene, path, given)

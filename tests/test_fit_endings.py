@@ -1,0 +1,94 @@
+"""How fits begin and end: names of views, values by their paths, what no picture shows, and late interrupts."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fit_scenes import key_light, material, precision, sphere_picture, sphere_samples, sphere_scene
+from jaxlight import Fit, View, fit
+from jaxlight.fit import fitting
+from jaxlight.fit.problem import make_problem
+
+SIZE = 24
+FREE = ["Material[body].diffuse_color", "Material[body].shininess"]
+
+
+def start(dtype: Any) -> Any:
+    return sphere_scene(body=material(diffuse_color=(0.5, 0.5, 0.5), shininess=0.2), dtype=dtype)
+
+
+def view_of(**changes: Any) -> View:
+    picture = changes.pop("target", sphere_picture(SIZE))
+    return View(sphere_samples(SIZE), picture, **changes)
+
+
+@pytest.mark.parametrize(("names", "said"), [(("a", "a"), "views[1].name: 'a'"), (("1", ""), "views[0].name: '1'")])
+def test_views_of_one_name_are_refused(names: tuple[str, str], said: str) -> None:
+    with precision("float32") as dtype, pytest.raises(ValueError, match=re.escape(f"{said} is named twice")):
+        fit(start(dtype), [view_of(name=name) for name in names], FREE)
+
+
+def test_values_are_found_by_every_path_that_means_them() -> None:
+    with precision("float32") as dtype:
+        result = fit(start(dtype), view_of(), ["Material[body].diffuse_color", "View[0].exposure"], max_steps=1)
+    color = result.value("Material[body].diffuse_color")
+    np.testing.assert_array_equal(result.value("Material[0].diffuse_color"), color)
+    np.testing.assert_array_equal(result.value("Material[body].diffuse_color.g"), color[1])
+    np.testing.assert_array_equal(result.value("Material[0].diffuse_color[2]"), color[2])
+    assert result.value("View[0].exposure") > 0
+    for path in ("Material[body].shininess", "Material[body].shine", "View[1].exposure"):
+        with pytest.raises(ValueError, match="was not free; free: Material"):
+            result.value(path)
+
+
+def test_a_sensor_without_limits_is_one_of_which_none_are_known() -> None:
+    with precision("float32") as dtype:
+        for limits, settles in (
+            ({}, True),
+            ({"saturated": np.inf, "dark": -np.inf}, True),
+            ({"saturated": 2.0}, False),
+        ):
+            assert make_problem(start(dtype), view_of(**limits), FREE)[0].settles is settles
+
+
+def test_a_fit_of_what_no_picture_shows_is_no_success() -> None:
+    """A lamp inside the sphere; unless nothing is left to be explained."""
+    free = ["PointLight[key].location", "PointLight[key].intensity"]
+    inside = sphere_scene(key_light(location=(0.0, 0.0, 0.0)), body=material(ambient_intensity=0.0))
+    dark = np.zeros((SIZE, SIZE, 3))
+    result = fit(inside, view_of(), free)
+    assert result.outcome == "unseen" and not result.converged
+    assert result.message.startswith("Not converged: after 0 steps")
+    assert "no picture changes with any free number, near the start" in result.message
+    assert fit(inside, view_of(target=dark), free).outcome == "converged"
+    noisy = view_of(target=0.01 * np.random.default_rng(0).normal(size=dark.shape), noise=0.01)
+    assert fit(inside, noisy, free).outcome == "converged"
+
+
+def test_an_interrupt_after_the_last_step_loses_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Whoever handles it hears of it afterwards."""
+    heard, make = [], fitting.make_fit
+
+    def handler(*_: Any) -> None:
+        heard.append(True)
+        raise KeyboardInterrupt
+
+    def interrupted(*args: Any, **options: Any) -> Fit:
+        os.kill(os.getpid(), signal.SIGINT)
+        return make(*args, **options)
+
+    monkeypatch.setattr(fitting, "make_fit", interrupted)
+    before = signal.signal(signal.SIGINT, handler)
+    try:
+        result = fit(start(np.float32), view_of(), FREE, max_steps=2, log=tmp_path / "log.jsonl")
+        assert heard == [True] and signal.getsignal(signal.SIGINT) is handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert result.outcome == "max_steps" and '"max_steps"' in (tmp_path / "log.jsonl").read_text().splitlines()[-1]
