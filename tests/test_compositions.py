@@ -85,7 +85,8 @@ def on_two_devices(lights: int, *, whole: bool) -> None:
     if whole:
         assert_close(mapped(colors, OWN)(samples), wanted)
 
-    for loss in (of_colors(plan), tile_by_tile(plan)):
+    tiles = tile_by_tile(plan)
+    for loss in (of_colors(plan), tiles) if whole else (tiles,):
 
         def on_each(scene: Scene, samples: SampleBuffer, factor: jax.Array, loss: Loss = loss) -> jax.Array:
             return jax.lax.psum(loss(scene, own(samples), factor), "i")
@@ -103,8 +104,9 @@ def on_two_devices(lights: int, *, whole: bool) -> None:
         total = mapped(on_each, (SHARED, OWN, SHARED), SHARED)
         found = jax.jit(jax.value_and_grad(total, (0, 2)))(scene, samples, FACTOR)
         assert_close(found, (value, (slope, jnp.sum(by_factors))))
-        assert_close(jax.jit(mapped(slope_on_each, (SHARED, OWN, SHARED), SHARED))(scene, samples, FACTOR), slope)
         if whole:
+            assert_close(jax.jit(mapped(slope_on_each, (SHARED, OWN, SHARED), SHARED))(scene, samples, FACTOR), slope)
+        if whole and loss is tiles:
             assert_close(total(scene, samples, FACTOR), value)
             assert_close(jax.grad(total)(scene, samples, FACTOR), slope)
             # A factor for each device, of different losses.

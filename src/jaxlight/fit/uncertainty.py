@@ -180,7 +180,7 @@ class _Reduced(NamedTuple):
     sizes: Any
     """See `Strides.sizes`; the larger one of those at the start and at the values."""
     rows: Any
-    """[texels]: sums of the rows of the texels' curvature; 0 where nothing determines a texel."""
+    """[texels]: diagonal of the texels' curvature; 0 where nothing determines a texel."""
     texels: Any
     """How many texels the pictures determine: of one that a prior holds as well, the pictures' share of it."""
 
