@@ -121,6 +121,33 @@ def test_a_missing_material_library_is_said(tmp_path: Path) -> None:
         load(tmp_path / "a.obj")
 
 
+@pytest.mark.parametrize(
+    "libraries", ["mtllib my red.mtl blue.MTL none.mtl\n", "mtllib my red.mtl\nmtllib none.mtl\nmtllib blue.MTL\n"]
+)
+def test_all_material_libraries_are_read_and_the_first_that_has_a_material_counts(
+    tmp_path: Path, libraries: str
+) -> None:
+    (tmp_path / "my red.mtl").write_text("newmtl red\nKd 1 0 0")
+    (tmp_path / "blue.MTL").write_text("newmtl red\nKd 0 1 0\nnewmtl blue\nKd 0 0 1")
+    (tmp_path / "a.obj").write_text(OBJ.replace("mtllib box.mtl\n", libraries))
+    with pytest.warns(SceneFileWarning, match="'none.mtl': no such file"):
+        shapes = shapes_of(tmp_path / "a.obj")
+    colors = {shape.appearance.material.name: shape.appearance.material.diffuse_color for shape in shapes}
+    assert colors == {"red": (1, 0, 0), "blue": (0, 0, 1)}
+
+
+def test_material_libraries_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.obj").write_text(OBJ + "".join(f"mtllib {number}.mtl\n" for number in range(1001)))
+    with pytest.raises(SceneFileError, match="names more than 1000 material files"):
+        load(tmp_path / "a.obj")
+    monkeypatch.setattr("jaxlight.formats.meshes.MAX_FILE_BYTES", len(MTL) + 10)
+    for name in ("box.mtl", "more.mtl"):
+        (tmp_path / name).write_text(MTL.replace("map_", "# "))
+    (tmp_path / "a.obj").write_text(OBJ + "mtllib more.mtl\n")
+    with pytest.warns(SceneFileWarning, match="more.mtl: material files of more than 0 MiB"):
+        assert len(shapes_of(tmp_path / "a.obj")) == 2
+
+
 @pytest.mark.parametrize("file_type", ["ply", "stl", "stl_ascii"])
 def test_ply_and_stl(tmp_path: Path, file_type: str) -> None:
     box = trimesh.creation.box(extents=(1, 2, 3))

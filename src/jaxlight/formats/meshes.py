@@ -22,12 +22,12 @@ from .encodings import Format
 from .errors import SceneFileError
 from .folder import ResourceFolder
 from .gltf_header import GltfMaterial, numbered_materials
-from .limits import read_bounded
+from .limits import MAX_FILE_BYTES, read_bounded
 from .mesh_graph import nested_transforms
 from .mesh_lengths import checked_ply, checked_stl
 from .mesh_materials import material_from_gltf, material_from_mtl, unlit_material_from_gltf
 from .notes import ReadNotes
-from .obj_text import checked_obj
+from .obj_text import BETWEEN_LIBRARIES, checked_obj
 from .x3d_checks import check_indices
 from .x3d_textures import TextureReader
 
@@ -289,11 +289,25 @@ class _FolderResolver(Resolver):
         self._notes = notes
 
     def get(self, name: str) -> bytes:
+        if BETWEEN_LIBRARIES in name:
+            # The last of a name is what trimesh keeps; a material stands in the first file that has it.
+            return b"\n".join(reversed(list(self._all_to_be_had(name.split(BETWEEN_LIBRARIES)))))
         try:
             return read_bounded(self._folder.find(_file_of(name)))
         except ValueError as error:
             self._notes.missing.append(str(error))
             raise FileNotFoundError(str(error)) from None
+
+    def _all_to_be_had(self, names: list[str]) -> Iterator[bytes]:
+        left = MAX_FILE_BYTES
+        for name in names:
+            with contextlib.suppress(FileNotFoundError):
+                library = self.get(name)
+                left -= len(library)
+                if left < 0:
+                    self._notes.missing.append(f"{name}: material files of more than {MAX_FILE_BYTES // 2**20} MiB")
+                    return
+                yield library
 
     def write(self, name: str, data: Any) -> None:
         raise PermissionError("reading a mesh writes nothing")

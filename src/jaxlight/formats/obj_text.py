@@ -21,7 +21,12 @@ _NEEDED = {"v": 3, "vt": 1, "vn": 3}
 """Numbers that an entry must have; a `vt` with one has 0 as its second."""
 _SKIPPED = ("l", "p", "curv", "curv2", "surf")
 """Statements that draw something else than flat faces."""
+_AFTER_LIBRARY = re.compile(r"(?<=\.mtl)[ \t]+", re.IGNORECASE)
+"""What stands between the names of material files in one statement; a name may have spaces in it."""
+BETWEEN_LIBRARIES = "\t"
+"""What stands between them in the only statement that is left, of which trimesh asks for all in one."""
 _FILLED = "obj face without vt beside some with, now at vt 0 0"
+_MOST_LIBRARIES = 1000
 _CONTINUED = re.compile(r"^(?![ \t]*#)(?:.*\\\n)+.*", re.MULTILINE)
 _CORNER = re.compile(r"(\d+)(?:/(\d*)(?:/(\d*))?)?", re.ASCII)
 _Corner = tuple[int, int, int]
@@ -32,17 +37,18 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> bytes:
     """Vertices, materials and faces of an OBJ file, one statement a line, the faces in order of their materials.
 
     Where some faces of a material have texture coordinates, the others get 0 0; normals that not all of them have are
-    left out. Both are noted.
+    left out. Both are noted. Material files that several statements name stand in one.
 
     Raises:
         SceneFileError: a face has less than three corners, or an index that is no number, 0, or out of range; a vertex,
-            normal or texture coordinate has too few numbers.
+            normal or texture coordinate has too few numbers; more than 1000 material files are named.
     """
     counts: dict[str, int] = dict.fromkeys(_LISTS, 0)
     vertices: list[str] = []
     faces: dict[str, list[str]] = {}
     first_line: dict[str, dict[str, int]] = {}  # by material and corner
     sizes: dict[str, set[int]] = {name: set() for name in _LISTS}
+    libraries: dict[str, None] = {}  # without what is named twice
     material = ""
     for line, statement in enumerate(_lines(decode_text(data)), 1):
         keyword, *words = statement.split(None, 1) or ("",)
@@ -71,7 +77,9 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> bytes:
         elif keyword == "usemtl":
             material = rest
         elif keyword == "mtllib":
-            vertices.append(f"mtllib {rest}")
+            libraries |= dict.fromkeys(_AFTER_LIBRARY.split(rest))
+            if len(libraries) > _MOST_LIBRARIES:
+                raise SceneFileError(path, line, f"names more than {_MOST_LIBRARIES} material files")
         elif keyword in _SKIPPED:
             notes.skipped[f"obj {keyword}"] += 1
     if sizes["v"] and min(sizes["v"]) < 6 <= max(sizes["v"]):
@@ -82,7 +90,8 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> bytes:
         texts += [f"usemtl {name}"] if name else []
         texts += _alike(corners_of, parsed, counts["vt"] + 1, name, notes)
     origin = ["vt 0 0"] if notes.simplified[_FILLED] else []
-    return "\n".join([*vertices, *origin, *texts]).encode()
+    named = [f"mtllib {BETWEEN_LIBRARIES.join(libraries)}"] if libraries else []
+    return "\n".join([*named, *vertices, *origin, *texts]).encode()
 
 
 def _lines(text: str) -> list[str]:
