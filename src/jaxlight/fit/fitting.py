@@ -15,6 +15,7 @@ import equinox as eqx
 import numpy as np
 
 from ..lighting import LightingOptions
+from ..promotion import usual_promotion
 from ..scene.fields import non_negative, whole
 from ..scene.scene import Scene
 from .checkpoint import Checkpoint, CheckpointWarning
@@ -114,6 +115,7 @@ class Fit:
         return "\n".join(lines)
 
 
+@usual_promotion
 def fit(
     scene: Scene,
     views: View | Sequence[View],

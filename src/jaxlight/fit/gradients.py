@@ -14,6 +14,7 @@ from ..lighting import LightingOptions, shade_planes
 from ..lighting.checks import check_samples
 from ..lighting.compiling import quick_jit
 from ..lighting.prepared import compute_dtype
+from ..promotion import usual_promotion
 from ..raster.samples import SampleBuffer
 from ..scene import paths
 from ..scene.fields import positive, whole
@@ -80,6 +81,7 @@ class GradientCheck:
         return "\n".join(lines)
 
 
+@usual_promotion
 def check_gradients(
     scene: Scene,
     samples: SampleBuffer,

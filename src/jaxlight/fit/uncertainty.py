@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..lighting.compiling import quick_jit
+from ..promotion import usual_promotion
 from . import normal
 from .curvature import ArrowCurvature, as_curvature
 from .held import SIGNIFICANT, held_by_bounds, pseudo_inverse
@@ -102,6 +103,7 @@ class Uncertainty:
         return "\n".join([*rows, *self.messages()])
 
 
+@usual_promotion
 def uncertainty(problem: Problem, description: Description, values: Any) -> Uncertainty:
     """Standard errors and what cannot be known at the given values; computed in float64 whatever the fit's precision.
 

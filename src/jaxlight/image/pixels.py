@@ -10,11 +10,13 @@ from jaxtyping import Array, Float
 from ..lighting import LightingOptions, Plan, shade_slots
 from ..lighting.checks import check_samples
 from ..lighting.compiling import quick_jit
+from ..promotion import usual_promotion
 from ..raster import SampleBuffer
 from ..scene import Scene
 from .background import sky
 
 
+@usual_promotion
 def render(
     scene: Scene, samples: SampleBuffer, options: LightingOptions | None = None, *, plan: Plan | None = None
 ) -> Float[Array, "height width 3"]:
@@ -42,6 +44,7 @@ def render(
     return _over(shade_slots(scene, samples, options, plan=plan), behind, samples)
 
 
+@usual_promotion
 def resolve(values: Any, samples: SampleBuffer) -> Float[Array, "height width channels"]:
     """Sum of the samples' values in each pixel, each weighted by the share that it covers; 0 where nothing is seen.
 

@@ -18,6 +18,7 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from ..promotion import usual_promotion
 from ..raster.samples import LANES, SampleBuffer
 from ..scene import Scene
 from .in_shard_map import Axes, axes_of, is_inside, unaware, varying
@@ -35,6 +36,7 @@ from .totals import add_terms, added_up, summed_on_lanes
 from .unstored import Inlined
 
 
+@usual_promotion
 def sum_over_samples(
     function: Callable[..., Array],
     scene: Scene,
@@ -123,6 +125,7 @@ def _sum(function: Function, plan: Plan, axes: Axes, *operands: Any) -> Array:
     return unaware(_whole, (function, plan), axes, *operands)
 
 
+@usual_promotion
 def _forward(function: Function, plan: Plan, axes: Axes, *operands: Any) -> tuple[Array, Any]:
     asked = jax.tree.map(lambda operand: operand.perturbed, operands)
     values = jax.tree.map(lambda operand: operand.value, operands)

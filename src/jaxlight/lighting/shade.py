@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from ..promotion import usual_promotion
 from ..raster.samples import SampleBuffer
 from ..scene import Scene
 from .changes import moves, with_change, without_zeros
@@ -95,6 +96,7 @@ _Form = Callable[[Array, SampleBuffer], Array]
 """In which colours are given: a function of the rows of all tiles."""
 
 
+@usual_promotion
 def _shade(
     form: _Form, scene: Scene, samples: SampleBuffer, options: LightingOptions | None, plan: Plan | None
 ) -> Array:
@@ -156,6 +158,7 @@ def _shaded(form: _Form, plan: Plan, scene: Scene, samples: SampleBuffer) -> Arr
     return _formed_in_jit(form, plan, scene, samples)
 
 
+@usual_promotion
 def _shaded_jvp(form: _Form, plan: Plan, primals: Any, tangents: Any) -> tuple[Array, Array]:
     return _change_in_jit(form, plan, primals, without_zeros(tangents))
 
