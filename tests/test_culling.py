@@ -154,7 +154,7 @@ def test_clusters_are_shaded_in_any_order(few_at_once: None) -> None:
 
 
 def test_clusters_are_ordered_by_lights_of_both_kinds(few_at_once: None) -> None:
-    scene, samples = colored_bodies()
+    scene, samples = colored_bodies(textures=False)
     culled, brute = plans(scene, samples)
     assert culled.point is not None and culled.spot is not None
     np.testing.assert_allclose(shade(scene, samples, plan=culled), shade(scene, samples, plan=brute), atol=2e-5)
