@@ -22,7 +22,6 @@ SCENE = jl.Scene.from_nodes(
             geometry=n.Sphere(),
         ),
         n.PointLight(location=(2, 3, 4), attenuation=(1, 0.1, 0)),
-        n.SpotLight(location=(1, 1, 5), direction=(0, 0, -1), beam_width=0.2),
         n.Fog(visibility_range=30.0, color=(0.2, 0.3, 0.4)),
     ]
 )
