@@ -57,6 +57,14 @@ PLANTED: dict[str, tuple[list[Any], dict[str, Any], list[str], list[str]]] = {
         [key_light(), TWIN], {}, ["PointLight[*].intensity", "Material[body].shininess"],
         [f"PointLight[twin].intensity {TRADED} PointLight[key].intensity: {SUM}"],
     ),
+    "two lights of one strength and place": (
+        [key_light(), key_light(name="equal")], {}, ["PointLight[*].intensity", "Material[body].shininess"],
+        [f"PointLight[equal].intensity {TRADED} PointLight[key].intensity: {SUM}"],
+    ),
+    "strength against an exposure as large": (
+        [key_light(intensity=1.0)], {}, ["PointLight[key].intensity", "View[0].exposure", "Material[body].shininess"],
+        [f"View[0].exposure {TRADED} PointLight[key].intensity: {PRODUCT}"],
+    ),
     "out of reach": (
         [key_light(), FAR], {}, [DIFFUSE, "PointLight[far].intensity"],
         ["PointLight[far].intensity is not seen: the pictures do not change with it near its value"],
@@ -81,9 +89,10 @@ PLANTED: dict[str, tuple[list[Any], dict[str, Any], list[str], list[str]]] = {
 }  # fmt: skip
 
 
-def known(lights: list[Any], changes: dict[str, Any], free: list[Any], dtype: Any) -> Uncertainty:
+def known(lights: list[Any], changes: dict[str, Any], free: list[Any], dtype: Any, light: float = 1.0) -> Uncertainty:
+    """`light`: how bright the picture is, noise and all."""
     body = material(**changes)
-    view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, *lights, body=body, noise=0.01))
+    view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, *lights, body=body, noise=0.01 * light))
     problem, description = make_problem(sphere_scene(*lights, body=body, dtype=dtype), view, free)
     return uncertainty(problem, description, problem.parameters.start)
 
@@ -108,6 +117,13 @@ def test_a_well_posed_fit_has_none(bits: str) -> None:
     assert found.well_posed and found.messages() == [] and found.rank == len(found.labels) == 10
     assert found.noise == pytest.approx(0.01, rel=0.05)
     assert np.all((found.standard_error > 0) & (found.standard_error < 0.02))
+
+
+def test_errors_are_of_the_size_of_the_noise_however_small_it_is() -> None:
+    free = [DIFFUSE, "Material[body].shininess"]
+    with precision("float64") as dtype:
+        found, expected = (known([key_light(intensity=light)], {}, free, dtype, light) for light in (1e-9, 1.0))
+    np.testing.assert_allclose(found.standard_error, expected.standard_error, rtol=1e-6)
 
 
 def test_a_direction_keeps_its_pictures() -> None:

@@ -79,3 +79,5 @@ def test_spare_follows_links(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="input"):
         spare([tmp_path / "a"], [tmp_path / "b"])
     spare([tmp_path / "a"], [tmp_path / "c"])
+    with pytest.raises(ValueError, match="input"):
+        spare([tmp_path / "a"], [tmp_path / "not there yet" / ".." / "a"])

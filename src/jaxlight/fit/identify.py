@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
@@ -166,7 +167,9 @@ def _told(
     kept: Kept = "combination"
     relatives = np.array([part.relative for part in parts])
     changes = np.array([part.change for part in parts])
-    if _alike(np.abs(relatives)):
+    # Of equal numbers both hold, but numbers of one field, of several lights for example, are never multiplied.
+    add_up = len(parts) > 1 and len({_field_of(part.name) for part in parts}) == 1 and _alike(np.abs(changes))
+    if _alike(np.abs(relatives)) and not add_up:
         kept = "product" if rising and falling else "ratio"
     elif _alike(np.abs(changes)):
         kept = "sum" if rising and falling else "difference"
@@ -178,6 +181,12 @@ def _told(
     else:
         text = f"{_listed(rising)} can be traded for {_listed(falling)}: {kept_words}"
     return Ambiguity(tuple(part.name for part in [*rising, *falling]), direction, kept, text)
+
+
+def _field_of(path: str) -> tuple[str, ...]:
+    """What the path is of, without which row or component: a material, a light of any kind, a view or a texture."""
+    owner, field = (re.sub(r"\[.*", "", part) for part in re.split(r"\.(?![^\[]*\])", path)[:2])
+    return ("Light" if owner.endswith("Light") else owner, field)
 
 
 def _single_vector(direction: np.ndarray, values: np.ndarray, fields: Sequence[FreeField]) -> str | None:

@@ -138,7 +138,9 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
     is_known = np.isfinite(noise)
     covariance = inverse
     if is_known:
-        covariance = inverse + (variance - 1) * (inverse - (inverse * reduced.precision) @ inverse)
+        # Of what the pictures say, and of what priors do: written as a difference it would round to 0 where noise is.
+        by_priors = (inverse * reduced.precision) @ inverse
+        covariance = variance * (inverse - by_priors) + by_priors
     traded = np.max(np.abs(seen.null), axis=0, initial=0) > 1e-4
     error = np.where(seen.unseen | traded, np.inf, np.sqrt(np.maximum(np.diagonal(covariance), 0)))
     error = np.where(held, 0, error if is_known else np.inf)
