@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from jaxlight import SceneFileError, SceneFileWarning, load
 from jaxlight.scene import nodes as n
@@ -110,12 +111,89 @@ def test_what_an_obj_has_besides_faces_and_whole_colours_is_named(tmp_path: Path
     assert np.all(corners(shape.geometry, "tex_coord", "point") == (0.5, 0))
 
 
+@pytest.mark.parametrize(
+    ("polygon", "area"),
+    [
+        ([(0, 0), (4, 0), (4, 4), (2, 1), (0, 4)], 10),
+        ([(4, 0), (1, 1), (0, 4), (0, 0)], 4),
+        ([(0, 0), (4, 0), (4, 4), (0, 4)], 16),
+    ],
+)
+@pytest.mark.parametrize("first", range(4))
+def test_concave_faces_cover_what_is_in_them_and_look_where_they_did(
+    tmp_path: Path, polygon: list[tuple[float, float]], area: float, first: int
+) -> None:
+    polygon = polygon[first:] + polygon[:first]
+    text = "".join(f"v {x} {y} 1\nvt {x} {y}\n" for x, y in polygon) + "v 9 9 9\nvt 9 9\n"
+    face = " ".join(f"{corner}/{corner}" for corner in range(1, len(polygon) + 1))
+    (shape,) = obj_shapes(tmp_path, f"{text}f 1/1 2/2 {len(polygon) + 1}/{len(polygon) + 1}\nf {face}\n")
+    found = triangles(shape.geometry)
+    uv = corners(shape.geometry, "tex_coord", "point")
+    assert np.array_equal(found[..., :2], uv)
+    flat = found[np.all(found[..., 2] == 1, axis=1)]
+    cross = np.cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0])
+    assert np.all(cross[:, 2] > 0) and cross[:, 2].sum() / 2 == pytest.approx(area)
+    assert len(found) == len(flat) + 1
+
+
+def library(folder: Path, content: str | bytes, material: str = "red") -> n.Shape:
+    """The shape of one triangle of that material of this library."""
+    (folder / "a.mtl").write_bytes(content if isinstance(content, bytes) else content.encode())
+    (shape,) = obj_shapes(folder, f"mtllib a.mtl\n{TRIANGLE}usemtl {material}\nf 1/1 2/2 3/3\n")
+    return shape
+
+
+@pytest.mark.parametrize(
+    ("content", "material"),
+    [
+        ("\ufeffnewmtl red\nKd 1 0 0\n", "red"),
+        ("newmtl red\nKd 1 0 0\n".encode("utf-16"), "red"),
+        (b"# caf\xe9\nnewmtl red\nKd 1 0 0\n", "red"),
+        ("newmtl red  # the first\nKd 1 0 0 # of them\nKs 0 0 0", "red # one"),
+        ("newmtl red  wine\rKd 1 0 0\r", "red \t wine"),
+        ("newmtl Material #25\nKd 1 0 0\nnewmtl Material #26\nKd 0 1 0", "Material #25"),
+    ],
+)
+def test_materials_are_found_whatever_stands_around_their_names(
+    tmp_path: Path, content: str | bytes, material: str
+) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert library(tmp_path, content, material).appearance.material.diffuse_color == (1, 0, 0)
+
+
+def test_a_material_that_no_library_has_is_named(tmp_path: Path) -> None:
+    with pytest.warns(SceneFileWarning, match="no material file has the material 'Red'"):
+        library(tmp_path, "newmtl red\nKd 1 0 0\n", "Red")
+
+
+@pytest.mark.parametrize(
+    ("reference", "noted"),
+    [
+        ("-s 1 1 1 -o 0 -clamp off my wood.png", None),
+        ("my wood.png # oak", None),
+        ("-clamp on my wood.png", "mtl map_Kd -clamp x1"),
+        ("-mm 0 0.5 -s 2 2 my wood.png", "mtl map_Kd -mm x1, mtl map_Kd -s x1"),
+    ],
+)
+def test_options_of_textures_are_told_from_their_names(tmp_path: Path, reference: str, noted: str | None) -> None:
+    Image.new("RGB", (1, 1), (255, 0, 0)).save(tmp_path / "wood.png")
+    Image.new("RGB", (1, 1), (0, 255, 0)).save(tmp_path / "my wood.png")
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        shape = library(tmp_path, f"newmtl red\nmap_Kd {reference}\n")
+    assert shape.appearance.texture.image.tolist() == [[[0, 1, 0]]]
+    assert [str(warning.message).partition("fields not used: ")[2] for warning in heard] == ([noted] if noted else [])
+
+
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\nvn 0 0 1\n"
 
 
 @pytest.mark.parametrize(
     ("faces", "message"),
     [
+        ("v 1 b 0\nf 1 2 3", "a.obj:9: a v has '1 b 0', expected numbers"),
+        ("vn 1d0 0 0\nf 1 2 3", "a.obj:9: a vn has '1d0 0 0', expected numbers"),
         ("f 1/1 2/2 3/9", "a.obj:9: .*out of range: a face has the vt index 9, the file 4 vt"),
         ("f 1//1 2//1 3//5", "a.obj:9: .*the vn index 5, the file 1 vn"),
         ("f 1/1 2/2 3/3\nf 1/0 2/2 3/3", r"a.obj:10: a face has the index 0 \(vt\)"),

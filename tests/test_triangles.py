@@ -11,7 +11,7 @@ import pytest
 from counted_work import at_most_calls
 from jaxlight import nodes
 from jaxlight.raster import Triangles, geometry_of
-from jaxlight.raster.polygons import MAX_CONCAVE_CORNERS
+from jaxlight.scene.polygons import MAX_CONCAVE_CORNERS
 
 
 def triangles_of(geometry: nodes.Node | None, name: str = "", **appearance: object) -> Triangles:

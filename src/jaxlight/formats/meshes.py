@@ -26,8 +26,9 @@ from .limits import MAX_FILE_BYTES, read_bounded
 from .mesh_graph import nested_transforms
 from .mesh_lengths import checked_ply, checked_stl
 from .mesh_materials import material_from_gltf, material_from_mtl, unlit_material_from_gltf
+from .mtl_text import joined_libraries
 from .notes import ReadNotes
-from .obj_text import BETWEEN_LIBRARIES, checked_obj
+from .obj_text import LIBRARY, ObjText, checked_obj
 from .x3d_checks import check_indices
 from .x3d_textures import TextureReader
 
@@ -45,12 +46,15 @@ def read_mesh(path: Path, data: bytes, file_format: Format) -> tuple[tuple[nodes
     """
     notes = ReadNotes()
     materials: list[GltfMaterial] = []
-    options: dict[str, Any] = {"file_type": file_format, "resolver": _FolderResolver(path, notes), "process": False}
+    resolver = _FolderResolver(path, notes)
+    options: dict[str, Any] = {"file_type": file_format, "resolver": resolver, "process": False}
     try:
         if file_format == "glb":
             data, materials = numbered_materials(path, data, notes)
         elif file_format == "obj":
-            data = checked_obj(path, data, notes)
+            text = checked_obj(path, data, notes)
+            data = text.data
+            resolver.read_libraries(text)
         elif file_format == "stl":
             data = checked_stl(path, data)
         elif file_format == "ply":
@@ -178,7 +182,7 @@ def _material_of(mesh: Any) -> Any:
 
 def _url_of(image: Image.Image) -> str:
     """The file that an mtl names; empty for an image that stands in the mesh file."""
-    return _file_of(str(image.info.get("file_path", "")))
+    return str(image.info.get("file_path", ""))
 
 
 def _is_stand_in(material: Any) -> bool:
@@ -287,13 +291,22 @@ class _FolderResolver(Resolver):
     def __init__(self, path: Path, notes: ReadNotes) -> None:
         self._folder = ResourceFolder(path)
         self._notes = notes
+        self._library = b""
+
+    def read_libraries(self, text: ObjText) -> None:
+        """Read all material files that an obj names, and note the materials that none of them has."""
+        found = list(self._all_to_be_had(text.libraries))
+        library = joined_libraries(found, self._notes)
+        self._library = library.data
+        for name in text.materials if found else ():
+            if name not in library.names:
+                self._notes.remarks.append(f"no material file has the material {name!r}")
 
     def get(self, name: str) -> bytes:
-        if BETWEEN_LIBRARIES in name:
-            # The last of a name is what trimesh keeps; a material stands in the first file that has it.
-            return b"\n".join(reversed(list(self._all_to_be_had(name.split(BETWEEN_LIBRARIES)))))
+        if name == LIBRARY:
+            return self._library
         try:
-            return read_bounded(self._folder.find(_file_of(name)))
+            return read_bounded(self._folder.find(name))
         except ValueError as error:
             self._notes.missing.append(str(error))
             raise FileNotFoundError(str(error)) from None
@@ -317,12 +330,6 @@ class _FolderResolver(Resolver):
 
     def keys(self) -> list[str]:
         return []
-
-
-def _file_of(reference: str) -> str:
-    """The file name of an mtl reference, which may follow options such as `-s 1 1 1`."""
-    reference = reference.strip()
-    return reference.split()[-1] if reference.startswith("-") else reference
 
 
 @contextlib.contextmanager

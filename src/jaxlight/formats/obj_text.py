@@ -1,19 +1,23 @@
 """The text of an OBJ file, made ready for trimesh: its indices checked and absolute, the faces of a material alike.
 
 trimesh counts relative indices from the end of the file, takes the form of all faces of a material from one of them,
-and drops texture coordinates or normals of all of them where one face has none.
+drops texture coordinates or normals of all of them where one face has none, and takes every face for a convex one.
 """
 
 from __future__ import annotations
 
+import array
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
-from trimesh.util import decode_text
+import numpy as np
 
+from ..scene.polygons import Faces, are_concave, split_concave
 from .errors import SceneFileError
 from .notes import ReadNotes
+from .plain_text import name_in, text_of
 
 _LISTS = ("v", "vt", "vn")
 """What the three indices of a corner point into."""
@@ -23,8 +27,8 @@ _SKIPPED = ("l", "p", "curv", "curv2", "surf")
 """Statements that draw something else than flat faces."""
 _AFTER_LIBRARY = re.compile(r"(?<=\.mtl)[ \t]+", re.IGNORECASE)
 """What stands between the names of material files in one statement; a name may have spaces in it."""
-BETWEEN_LIBRARIES = "\t"
-"""What stands between them in the only statement that is left, of which trimesh asks for all in one."""
+LIBRARY = "//"
+"""By which all of them are asked for at once: the name of no file."""
 _FILLED = "obj face without vt beside some with, now at vt 0 0"
 _MOST_LIBRARIES = 1000
 _CONTINUED = re.compile(r"^(?![ \t]*#)(?:.*\\\n)+.*", re.MULTILINE)
@@ -33,15 +37,24 @@ _Corner = tuple[int, int, int]
 """Indices into the three lists; 0 where there is none."""
 
 
-def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> bytes:
+class ObjText(NamedTuple):
+    """What trimesh is to read, and the names of materials and of the files that they stand in."""
+
+    data: bytes
+    libraries: list[str]
+    materials: list[str]
+
+
+def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> ObjText:
     """Vertices, materials and faces of an OBJ file, one statement a line, the faces in order of their materials.
 
     Where some faces of a material have texture coordinates, the others get 0 0; normals that not all of them have are
-    left out. Both are noted. Material files that several statements name stand in one.
+    left out. Both are noted. Concave faces are cut into triangles. All material files stand in one, `LIBRARY`.
 
     Raises:
         SceneFileError: a face has less than three corners, or an index that is no number, 0, or out of range; a vertex,
-            normal or texture coordinate has too few numbers; more than 1000 material files are named.
+            normal or texture coordinate has too few numbers, or one that is none; a concave face has too many corners;
+            more than 1000 material files are named.
     """
     counts: dict[str, int] = dict.fromkeys(_LISTS, 0)
     vertices: list[str] = []
@@ -50,18 +63,19 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> bytes:
     sizes: dict[str, set[int]] = {name: set() for name in _LISTS}
     libraries: dict[str, None] = {}  # without what is named twice
     material = ""
-    for line, statement in enumerate(_lines(decode_text(data)), 1):
+    positions = array.array("d")
+    for line, statement in enumerate(_lines(text_of(data)), 1):
         keyword, *words = statement.split(None, 1) or ("",)
         rest = words[0].rstrip() if words else ""
-        if "#" in rest and keyword not in ("usemtl", "mtllib"):  # a name may have a # in it
-            rest = rest.partition("#")[0].rstrip()
+        if "#" in rest:
+            rest = name_in(rest) if keyword in ("usemtl", "mtllib") else rest.partition("#")[0].rstrip()
         if keyword in counts:
             counts[keyword] += 1
-            size = len(rest.split())
+            numbers = _numbers(path, line, keyword, rest)
+            size = len(numbers)
             sizes[keyword].add(size)
-            if size < _NEEDED[keyword]:
-                message = f"a {keyword} has {size} numbers, expected {_NEEDED[keyword]} or more"
-                raise SceneFileError(path, line, message)
+            if keyword == "v":
+                positions.extend(numbers[:3])
             vertices.append(f"{keyword} {rest}" if size > 1 else f"{keyword} {rest} 0")
         elif keyword in ("f", "fo"):
             corners = rest.split()
@@ -75,7 +89,7 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> bytes:
                 if corner not in lines:
                     lines[corner] = line
         elif keyword == "usemtl":
-            material = rest
+            material = " ".join(rest.split())
         elif keyword == "mtllib":
             libraries |= dict.fromkeys(_AFTER_LIBRARY.split(rest))
             if len(libraries) > _MOST_LIBRARIES:
@@ -88,18 +102,31 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> bytes:
     for name, corners_of in faces.items():
         parsed = {corner: _parsed(path, line, corner, counts) for corner, line in first_line[name].items()}
         texts += [f"usemtl {name}"] if name else []
-        texts += _alike(corners_of, parsed, counts["vt"] + 1, name, notes)
+        convex = _cut(path, corners_of, parsed, np.frombuffer(positions).reshape(-1, 3), name)
+        texts += _alike(convex, parsed, counts["vt"] + 1, name, notes)
     origin = ["vt 0 0"] if notes.simplified[_FILLED] else []
-    named = [f"mtllib {BETWEEN_LIBRARIES.join(libraries)}"] if libraries else []
-    return "\n".join([*named, *vertices, *origin, *texts]).encode()
+    named = [f"mtllib {LIBRARY}"] if libraries else []
+    data = "\n".join([*named, *vertices, *origin, *texts]).encode()
+    return ObjText(data, list(libraries), [name for name in faces if name])
 
 
 def _lines(text: str) -> list[str]:
     """The lines of a text; those that a backslash continues stand in the first of them, and leave empty ones."""
-    text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     if "\\\n" in text:
         text = _CONTINUED.sub(lambda found: found[0].replace("\\\n", " ") + "\n" * found[0].count("\\\n"), text)
     return text.split("\n")
+
+
+def _numbers(path: Path, line: int, keyword: str, rest: str) -> list[float]:
+    """Of a vertex, a normal or a texture coordinate."""
+    try:
+        numbers = [float(word) for word in rest.split()]
+    except ValueError:
+        raise SceneFileError(path, line, f"a {keyword} has {rest[:60]!r}, expected numbers") from None
+    if len(numbers) < _NEEDED[keyword]:
+        message = f"a {keyword} has {len(numbers)} numbers, expected {_NEEDED[keyword]} or more"
+        raise SceneFileError(path, line, message)
+    return numbers
 
 
 def _absolute(path: Path, line: int, corner: str, counts: dict[str, int]) -> str:
@@ -126,6 +153,35 @@ def _parsed(path: Path, line: int, corner: str, counts: dict[str, int]) -> _Corn
             zero = f"a face has the index 0 ({name}); they count from 1"
             raise SceneFileError(path, line, out if index else zero)
     return v, vt, vn
+
+
+def _cut(path: Path, faces: list[str], corners: dict[str, _Corner], positions: np.ndarray, material: str) -> list[str]:
+    """The faces of a material, the concave ones cut into triangles."""
+    polygons = [(number, own) for number, face in enumerate(faces) if len(own := face.split()) > 3]
+    if not polygons:
+        return faces
+    flat = [corner for _, own in polygons for corner in own]
+    read, points = _faces_of([own for _, own in polygons]), positions[[corners[corner][0] - 1 for corner in flat]]
+    concave = are_concave(read, points)
+    if not np.any(concave):
+        return faces
+    chosen = [own for (_, own), is_concave in zip(polygons, concave, strict=True) if is_concave]
+    own_corners = [corner for own in chosen for corner in own]
+    places = np.repeat(concave, read.count)
+    try:
+        triangles = split_concave(_faces_of(chosen), points[places], f"faces of material {material!r}")
+    except ValueError as error:
+        raise SceneFileError(path, None, str(error)) from None
+    cut = {number for (number, _), is_concave in zip(polygons, concave, strict=True) if is_concave}
+    return [face for number, face in enumerate(faces) if number not in cut] + [
+        " ".join(own_corners[corner] for corner in triangle) for triangle in triangles.tolist()
+    ]
+
+
+def _faces_of(polygons: list[list[str]]) -> Faces:
+    """Polygons whose corners are numbered one after the other."""
+    count = np.array([len(own) for own in polygons])
+    return Faces(np.arange(count.sum()), np.repeat(np.arange(len(count)), count), np.cumsum(count) - count, count)
 
 
 def _alike(

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..scene import nodes
+from ..scene.polygons import Faces, split_concave, split_fans
 from .normals import crease_normals, vertex_normals
-from .polygons import Faces, split_concave, split_fans
 from .triangles import Triangles
 
 

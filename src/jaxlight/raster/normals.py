@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .polygons import Faces, face_normals
+from ..scene.polygons import Faces, face_normals
 
 
 def crease_normals(faces: Faces, vertex: np.ndarray, points: np.ndarray, crease_angle: float) -> np.ndarray:

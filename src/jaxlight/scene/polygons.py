@@ -75,6 +75,24 @@ def split_fans(faces: Faces) -> np.ndarray:
     return np.stack([first, first + step + 1, first + step + 2], axis=1)
 
 
+def are_concave(faces: Faces, points: np.ndarray) -> np.ndarray:
+    """[F], True for faces that turn to the other side at some corner.
+
+    Args:
+        faces: the polygons.
+        points: [C, 3], where each corner is.
+    """
+    return _turned(faces, points, face_normals(faces, points))
+
+
+def _turned(faces: Faces, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    incoming, outgoing = points - points[faces.preceding], points[faces.following] - points
+    turn = np.einsum("ij,ij->i", np.cross(incoming, outgoing), normals[faces.face])
+    concave = np.zeros(len(faces.count), dtype=bool)
+    concave[faces.face[turn < 0]] = True
+    return concave
+
+
 def split_concave(faces: Faces, points: np.ndarray, where: str) -> np.ndarray:
     """[T, 3] corners: convex faces as fans, the others by cutting ears in the plane of the face (X3D 13.3.6 `convex`).
 
@@ -82,10 +100,7 @@ def split_concave(faces: Faces, points: np.ndarray, where: str) -> np.ndarray:
         ValueError: a concave face of more than MAX_CONCAVE_CORNERS corners, or too many of them together.
     """
     normals = face_normals(faces, points)
-    incoming, outgoing = points - points[faces.preceding], points[faces.following] - points
-    turn = np.einsum("ij,ij->i", np.cross(incoming, outgoing), normals[faces.face])
-    concave = np.zeros(len(faces.count), dtype=bool)
-    concave[faces.face[turn < 0]] = True
+    concave = _turned(faces, points, normals)
     fans = split_fans(dataclasses.replace(faces, count=np.where(concave, 0, faces.count)))
     cut = [fans]
     _check_corners(np.flatnonzero(concave), faces.count, where)
