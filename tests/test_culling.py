@@ -102,6 +102,41 @@ def test_culling_changes_no_value_and_no_derivative(
             np.testing.assert_allclose(one, other, atol=tolerance * max(1.0, float(jnp.max(jnp.abs(other)))))
 
 
+@pytest.mark.parametrize(
+    ("unit", "origin", "place", "direction", "beam", "other"),
+    [
+        (1e19, 0.0, (6.0, 0.0, 20.0), (0.0, 0.0, -1.0), 0.5, (0.0, 0.0, 0.1)),
+        (0.0625, 1e6 + 0.0625, (7.0, -7.0, 0.0), (-1.0, 1.0, 0.0), 0.02, (-1.0, -1.0, -1.0)),
+        (1e-19, 0.0, (1.0, -1.0, 0.0), (-1.0, 1.0, 0.0), 0.15, (-2.0, -2.0, 0.0)),
+    ],
+    ids=["far", "large frame", "tiny"],
+)
+def test_no_cone_is_missed_for_want_of_range_or_digits(
+    unit: float, origin: float, place: tuple, direction: tuple, beam: float, other: tuple
+) -> None:
+    """Of two samples the one at the origin lies within every cone."""
+    at = np.array(place) * unit
+    spots = [
+        nodes.SpotLight(
+            location=at + origin,
+            direction=direction,
+            beam_width=0.9 * beam,
+            cut_off_angle=beam,
+            radius=1e30,
+            intensity=0.02,
+        )
+        for _ in range(MANY_LIGHTS)
+    ]
+    shape = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material(specular_color=(0, 0, 0))))
+    scene = Scene.from_nodes([shape, *spots], dtype=np.float32)
+    position = np.array([other, (0, 0, 0)]) * unit + origin
+    buffer = SampleBuffer.create(position, [at] * 2, position[0] + 3 * unit, dtype=np.float32)
+    culled, brute = plans(dataclasses.replace(scene, document=None), buffer)
+    got, wanted = (shade(scene, buffer, plan=plan) for plan in (culled, brute))
+    np.testing.assert_allclose(got, wanted, atol=1e-5)
+    assert np.all(wanted[1, :3] > 0.3)
+
+
 def test_more_lights_than_a_tile_collects_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are worked through in batches: the same picture, the same derivatives."""
     scene, samples = many_lights("point", 1.0)

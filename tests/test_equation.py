@@ -263,6 +263,22 @@ def test_samples_at_the_radius_are_lit(bits: str, boxes: list[Any], scale: float
             assert np.all(got > 0) if is_lit else np.all(got == 0)
 
 
+@pytest.mark.parametrize("size", [1e-165, 1e155, 1e160])
+@pytest.mark.parametrize("radius", [0.5, 2.0, 1e100])
+def test_what_is_out_of_reach_does_not_depend_on_the_size_of_the_scene(size: float, radius: float) -> None:
+    """Whose squares are no numbers of double precision: some samples are lit and others not, or all, or none."""
+    shape = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()))
+    position = np.array([(0, 0, 0), (0.9, 0, 0), (0, 0, 0.6)])
+
+    def colors(size: float) -> np.ndarray:
+        lamp = nodes.PointLight(location=(0, 0, size), radius=radius * size)
+        scene = Scene.from_nodes([shape, lamp])
+        return np.asarray(shade(scene, SampleBuffer.create(size * position, [(0, 0, 1)] * 3, (0, 0, 3 * size))))
+
+    with precision("float64"):
+        np.testing.assert_allclose(colors(size), colors(1.0), rtol=1e-12)
+
+
 @pytest.mark.parametrize("count", [3, 1000, 40_000])
 def test_batch_size_changes_nothing(count: int) -> None:
     """200 x 200 flat pixels and fewer: some releases of JAX compute thousands of wrong rows at this size."""

@@ -255,15 +255,15 @@ def _reach(
         return None
     to_world = to_world.astype(np.float64)
     center = np.einsum("lij,lj->li", to_world[:, :, :3], place) + to_world[:, :, 3]
-    radius = radius * np.linalg.norm(to_world[:, :, 0], axis=1)
+    radius = radius * _lengths(to_world[:, :, 0])
     low, high = bounds[0].min(axis=1), bounds[1].max(axis=1)
-    farthest = np.linalg.norm(np.maximum(np.abs(low - center), np.abs(high - center)), axis=1)
+    farthest = _lengths(np.maximum(np.abs(low - center), np.abs(high - center)))
     slack = 1e-5 * (np.abs(center).max(axis=1) + np.abs([low, high]).max() + farthest)
     # Some tiles tell the share well enough.
     some = slice(None, None, -(-bounds[0].shape[1] // TILES_ASKED))
     nearest = _nearest(center[:, :, None], bounds[0][:, some], bounds[1][:, some])
     return _Reach(
-        some=_nearest(center, low, high) - slack <= radius,
+        some=~(_nearest(center, low, high) - slack > radius),  # also where that is not known
         all=farthest + slack <= radius,
         share=np.mean(nearest <= radius[:, None], axis=1),
     )
@@ -271,4 +271,11 @@ def _reach(
 
 def _nearest(center: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """The distance to the nearest point between `low` and `high`; components on axis 1 of `center`."""
-    return np.linalg.norm(np.maximum(0, np.maximum(low - center, center - high)), axis=1)
+    return _lengths(np.maximum(0, np.maximum(low - center, center - high)))
+
+
+def _lengths(vectors: np.ndarray) -> np.ndarray:
+    """Along axis 1, also of vectors whose squares overflow or underflow."""
+    largest = np.max(np.abs(vectors), axis=1, keepdims=True)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.linalg.norm(vectors / np.where(largest > 0, largest, 1), axis=1) * largest[:, 0]
