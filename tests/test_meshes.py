@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import struct
 from pathlib import Path
 
@@ -359,7 +360,14 @@ def test_an_unlit_material_gives_way_to_the_colours_of_its_own_mesh_only(
         (lambda h: h["accessors"][0].update(count=-1), "accessor 0 has -1 entries"),
         (lambda h: h.update(materials=[1]), "malformed glTF header"),
         (lambda h: h.update(scenes=[{"nodes": []}]), "holds no triangles"),
-        (lambda h: h["nodes"][0].update(matrix=[0] * 16), "none 0"),
+        (lambda h: h["accessors"][0].update(sparse={"count": 1}), "glTF accessor 0 is sparse"),
+        (lambda h: h["bufferViews"][0].update(byteLength=3), "which end after .* bytes; its bufferView has 3"),
+        (lambda h: h["nodes"][0].update(mesh=9), "glTF node 0 has 9 of the file's 2 meshes"),
+        (lambda h: h["nodes"][0].update(mesh="x"), "glTF node 0 has 'x' of"),
+        (lambda h: h["nodes"][0].update(children=[-1]), "glTF node 0 has -1 of the file's"),
+        (lambda h: h["scenes"][0].update(nodes=[77]), "glTF scene 0 has 77 of"),
+        (lambda h: h["nodes"][0].update(translation=[0, math.nan, 0]), "node 0: expected finite .* its translation"),
+        (lambda h: h["meshes"][0]["primitives"][0].update(indices=88), "glTF mesh 0 has 88 of"),
     ],
 )
 def test_damaged_gltf_headers_are_errors(tmp_path: Path, glb: bytes, change: object, message: str) -> None:
@@ -383,6 +391,33 @@ end_header
 3 0 1 2
 3 %s 1 2
 """
+
+
+@pytest.mark.parametrize(
+    "change", [{"matrix": [0] * 16}, {"scale": [0, 1, 1]}, {"matrix": [1, 0, 0, 0, 1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]}]
+)
+def test_what_is_scaled_to_nothing_is_left_out(tmp_path: Path, glb: bytes, change: dict) -> None:
+    def added(header: dict) -> None:
+        mesh = next(node["mesh"] for node in header["nodes"] if "mesh" in node)
+        header["nodes"].append({"mesh": mesh, **change})
+        header["scenes"][0]["nodes"].append(len(header["nodes"]) - 1)
+
+    (tmp_path / "whole.glb").write_bytes(glb)
+    (tmp_path / "a.glb").write_bytes(rewritten(glb, added))
+    with pytest.warns(SceneFileWarning, match="node scaled to nothing, left out with its children x1"):
+        assert len(shapes_of(tmp_path / "a.glb")) == len(shapes_of(tmp_path / "whole.glb"))
+
+
+def test_primitives_and_targets_that_are_not_read_are_named(tmp_path: Path, glb: bytes) -> None:
+    def change(header: dict) -> None:
+        mesh = header["meshes"][0]
+        mesh["primitives"] += [{**mesh["primitives"][0], "mode": mode} for mode in (2, 3, 6)]
+        mesh["weights"] = [0.5]
+
+    (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
+    expected = "glTF LINE_LOOP x1, glTF LINE_STRIP x1, glTF TRIANGLE_FAN x1; .*glTF weights of morph targets"
+    with pytest.warns(SceneFileWarning, match=expected):
+        load(tmp_path / "a.glb")
 
 
 @pytest.mark.parametrize(

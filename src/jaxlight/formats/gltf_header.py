@@ -1,4 +1,4 @@
-"""The JSON header of a binary glTF file: checked before trimesh reads the file, and the source of exact factors.
+"""The JSON header of a binary glTF file: what trimesh is to read of it, and the source of exact factors.
 
 trimesh rounds material colours to 8 bits and drops names that repeat, so materials are given their number as name.
 It reads neither samplers nor KHR_texture_transform, and of texture coordinates only the first set.
@@ -6,7 +6,6 @@ It reads neither samplers nor KHR_texture_transform, and of texture coordinates 
 
 from __future__ import annotations
 
-import collections
 import dataclasses
 import json
 import math
@@ -17,15 +16,11 @@ from typing import Any
 import numpy as np
 
 from .errors import SceneFileError
+from .gltf_checks import TRANSFORM, UNLIT, check_header, check_rows
 from .mesh_materials import SPECULAR_GLOSSINESS
 from .notes import ReadNotes
 
 _JSON_CHUNK = 0x4E4F534A
-_SHARED = 4
-"""Entries of accessors a byte of the file."""
-_TRANSFORM, _LIGHTS = "KHR_texture_transform", "KHR_lights_punctual"
-_UNLIT = "KHR_materials_unlit"
-_READ_EXTENSIONS = (_UNLIT, SPECULAR_GLOSSINESS, _TRANSFORM, "EXT_texture_webp")
 _UNUSED_TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")
 _CLAMP, _MIRROR, _FLOAT = 33071, 33648, 5126
 
@@ -43,7 +38,7 @@ class GltfMaterial:
     @property
     def is_unlit(self) -> bool:
         """True if the material takes no light."""
-        return _UNLIT in self.description.get("extensions", {})
+        return UNLIT in self.description.get("extensions", {})
 
     def texcoord(self, uv: np.ndarray) -> np.ndarray:
         """Texture coordinates [n, 2] (t up) after KHR_texture_transform, which is stated for t down: T R S, S first.
@@ -78,7 +73,7 @@ def numbered_materials(path: Path, data: bytes, notes: ReadNotes) -> tuple[bytes
         raise SceneFileError(path, None, "not a glTF 2 binary file, or truncated in its header")
     try:
         header = json.loads(data[20 : 20 + length])
-        _check(path, header, len(data), notes)
+        check_header(path, header, len(data), notes)
         materials = _simplified_materials(path, header, notes)
     except (ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError) as error:
         if isinstance(error, SceneFileError):
@@ -89,32 +84,6 @@ def numbered_materials(path: Path, data: bytes, notes: ReadNotes) -> tuple[bytes
     rest = data[20 + length :]
     head = struct.pack("<4s4I", b"glTF", 2, 20 + len(chunk) + len(rest), len(chunk), _JSON_CHUNK)
     return head + chunk + rest, materials
-
-
-def _check(path: Path, header: dict[str, Any], size: int, notes: ReadNotes) -> None:
-    """Refuse what cannot be read, and note what is not."""
-    for name in header.get("extensionsRequired", []):
-        if name not in _READ_EXTENSIONS:
-            message = f"needs the glTF extension {name}, which jaxlight does not read; it reads"
-            raise SceneFileError(path, None, f"{message} {', '.join(_READ_EXTENSIONS)}")
-    counts = [int(accessor["count"]) for accessor in header.get("accessors", [])]
-    for row, count in enumerate(counts):
-        if count < 0:
-            raise SceneFileError(path, None, f"glTF accessor {row} has {count} entries")
-    # An entry takes a byte or more; what several accessors read may be the same.
-    if sum(counts) > _SHARED * size:
-        raise SceneFileError(path, None, f"announces {sum(counts)} entries, far more than its {size} bytes can hold")
-    for kind in ("animations", "skins", "cameras"):
-        if header.get(kind):
-            notes.skipped[f"glTF {kind}"] += len(header[kind])
-    lights = header.get("extensions", {}).get(_LIGHTS, {}).get("lights", [])
-    if lights:
-        notes.skipped["glTF lights"] += len(lights)
-    used = collections.Counter(name for m in header.get("materials", []) for name in m.get("extensions", {}))
-    used.update(name for name in header.get("extensionsUsed", []) if name not in used)
-    for name, count in used.items():
-        if name not in (*_READ_EXTENSIONS, _LIGHTS):
-            notes.unused[f"glTF {name}"] += count
 
 
 def _simplified_materials(path: Path, header: dict[str, Any], notes: ReadNotes) -> list[GltfMaterial]:
@@ -143,7 +112,7 @@ def _textured(
     path: Path, header: dict[str, Any], row: int, material: GltfMaterial, use: dict[str, Any], notes: ReadNotes
 ) -> GltfMaterial:
     """The material with what its use of a texture says; its set of coordinates becomes the first of its meshes."""
-    transform = use.get("extensions", {}).get(_TRANSFORM)
+    transform = use.get("extensions", {}).get(TRANSFORM)
     which = int((transform or {}).get("texCoord", use.get("texCoord", 0)))
     name = f"TEXCOORD_{which}"
     for primitive in (p for mesh in header.get("meshes", []) for p in mesh["primitives"] if p.get("material") == row):
@@ -155,7 +124,9 @@ def _textured(
         if header["accessors"][attributes[name]]["componentType"] != _FLOAT:
             raise SceneFileError(path, None, f"glTF material {row} has a {name} of integers; jaxlight reads floats")
         primitive["attributes"] = {**attributes, "TEXCOORD_0": attributes[name]}
+    check_rows(path, f"material {row}", [use["index"]], header, "textures")
     sampler = header["textures"][use["index"]].get("sampler")
+    check_rows(path, f"texture {use['index']}", [] if sampler is None else [sampler], header, "samplers")
     wraps = header["samplers"][sampler] if sampler is not None else {}
     for wrap in ("wrapS", "wrapT"):
         if wraps.get(wrap) == _MIRROR:
