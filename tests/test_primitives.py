@@ -170,6 +170,27 @@ def test_the_apex_of_a_cone_points_along_its_axis() -> None:
     np.testing.assert_array_equal(np.asarray(samples.normal)[at_apex], [(0, 1, 0)])
 
 
+@pytest.mark.parametrize("below", [-4.0, -0.3])
+@pytest.mark.parametrize("turned", [0.0, 0.7])
+def test_the_apex_of_a_cone_seen_from_inside_is_inside_too(below: float, turned: float) -> None:
+    """A ray through it would meet the outside there, if it were taken for a part of the cone above."""
+    eye = (0.0, below * math.cos(turned), below * math.sin(turned))
+    camera = Camera.look_at(eye, (0, 0, 0), (1, 0, 0))
+
+    def seen(solid: bool) -> SampleBuffer:
+        cone = nodes.Shape(geometry=nodes.Cone(bottom=False, solid=solid))
+        moved = nodes.Transform(rotation=(1, 0, 0, turned), children=[nodes.Transform(children=[cone])])
+        return rasterize(Scene.from_nodes([moved]), camera, 33, 33)
+
+    with pytest.warns(UserWarning, match="sees no surface"):
+        assert seen(True).count == 0
+    samples = seen(False)
+    middle = np.asarray(samples.pixel) == 33 * 16 + 16
+    axis = np.array([0, math.cos(turned), math.sin(turned)])
+    np.testing.assert_allclose(np.asarray(samples.position)[middle], [axis], atol=1e-12)
+    assert np.all(np.asarray(samples.normal) @ axis < -0.44)
+
+
 def test_the_parts_of_primitives_that_are_switched_off_are_missing() -> None:
     def count(geometry: nodes.Node) -> int:
         primitive = geometry_of(nodes.Shape(geometry=geometry))

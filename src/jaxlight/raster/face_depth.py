@@ -74,6 +74,10 @@ class PreparedFaces:
             height = q + t * y
             hit = (discriminant >= 0) & (t > 0) & (self.height[0][row] <= height) & (height <= self.height[1][row])
             hit &= (p + t * x) ** 2 + (r + t * z) ** 2 <= self.radius[row] ** 2
+            # At the apex of a cone both roots meet, and rounding may take one to the cone above: of the one below, rays
+            # steeper than its side leave it there going up, and enter it going down.
+            at_apex = (a < 0) & (height >= -self.height[1][row])
+            hit &= ~at_apex | (self.is_back[row] == (y > 0))
         hit = np.flatnonzero(hit & np.isfinite(t))
         return hit, t[hit] / self.size[row[hit]]
 
