@@ -12,6 +12,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+_ROUNDING = 8 * np.finfo(np.float64).eps
+"""Of the coordinates of a unit primitive."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Face:
@@ -43,7 +46,8 @@ class Face:
     def gradient(self, points: np.ndarray) -> np.ndarray:
         """Points [N, 3] -> outward normals [N, 3] of any length; along y at the apex of a cone, which has none."""
         gradient = np.asarray(self.axes) * (points - self.center) + np.array([0.0, self.tilt / 2, 0.0])
-        return np.where(gradient.any(axis=1, keepdims=True), gradient, [0.0, 1.0, 0.0])
+        at_apex = np.all(np.abs(gradient) <= _ROUNDING, axis=1, keepdims=True)
+        return np.where(at_apex, [0.0, 1.0, 0.0], gradient)
 
     def onto(self, start: np.ndarray, along: np.ndarray, is_back: np.ndarray) -> np.ndarray:
         """Points [N, 3] that lie on the face but for rounding, moved along their rays [N, 3] onto its surface,
