@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 
@@ -184,6 +185,36 @@ def test_options_of_textures_are_told_from_their_names(tmp_path: Path, reference
         shape = library(tmp_path, f"newmtl red\nmap_Kd {reference}\n")
     assert shape.appearance.texture.image.tolist() == [[[0, 1, 0]]]
     assert [str(warning.message).partition("fields not used: ")[2] for warning in heard] == ([noted] if noted else [])
+
+
+@pytest.mark.parametrize(
+    ("line", "field", "value", "noted"),
+    [
+        ("Kd 0.5", "diffuse_color", (0.5, 0.5, 0.5), ""),
+        ("Ks 0.25 # grey", "specular_color", (0.25, 0.25, 0.25), ""),
+        ("Kd 0.1 0.2", "diffuse_color", (0.8, 0.8, 0.8), "Kd of .*: 1 number or 3 numbers, got '0.1 0.2'"),
+        ("Kd 0.1 nan 0.3", "diffuse_color", (0.8, 0.8, 0.8), "Kd of material 'odd' is left out.* got '0.1 nan 0.3'"),
+        ("Ks spectral a.rfl", "specular_color", (0, 0, 0), "Ks of material 'odd' is left out.* got 'spectral a.rfl'"),
+        ("Ns 3 4", "shininess", 0.2, "Ns of material 'odd' is left out: 1 number, got '3 4'"),
+    ],
+)
+def test_an_unusual_number_of_one_material_changes_no_other(
+    tmp_path: Path, line: str, field: str, value: object, noted: str
+) -> None:
+    (tmp_path / "a.mtl").write_text(f"newmtl good\nKd 1 0 0\nnewmtl odd\n{line}\n")
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        shapes = obj_shapes(tmp_path, f"mtllib a.mtl\n{TRIANGLE}usemtl good\nf 1 2 3\nusemtl odd\nf 1 2 3\n")
+    materials = {shape.appearance.material.name: shape.appearance.material for shape in shapes}
+    assert materials["good"].diffuse_color == (1, 0, 0)
+    assert getattr(materials["odd"], field) == value
+    assert len(heard) == bool(noted) and all(re.search(noted, str(warning.message)) for warning in heard)
+
+
+def test_a_texture_that_is_no_image_is_named(tmp_path: Path) -> None:
+    (tmp_path / "wood.png").write_bytes(b"xx")
+    with pytest.warns(SceneFileWarning, match="1 file not used: 'wood.png': no image that can be read"):
+        assert library(tmp_path, "newmtl red\nmap_Kd wood.png\n").appearance.texture is None
 
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\nvn 0 0 1\n"

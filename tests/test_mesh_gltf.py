@@ -199,3 +199,15 @@ def test_metallic_and_glossy_descriptions_of_a_metal_agree() -> None:
     second = material_from_gltf("m", {"extensions": {GLOSSY: glossy}}, see_through=False)
     for field in ("diffuse_color", "specular_color", "shininess", "transparency"):
         assert np.allclose(getattr(first, field), getattr(second, field))
+
+
+@pytest.mark.parametrize("outside", [False, True])
+def test_a_texture_that_is_no_image_is_named(tmp_path: Path, glb: bytes, outside: bool) -> None:
+    def change(header: dict) -> None:
+        if outside:
+            header["images"] = [{"uri": "wood.png"}]
+
+    (tmp_path / "wood.png").write_bytes(b"xx")
+    name = "wood.png" if outside else "glTF image 0"
+    with pytest.warns(SceneFileWarning, match=f"1 file not used: '{name}': no image that can be read"):
+        assert one_shape(tmp_path, rewritten(glb.replace(b"\x89PNG", b"\x88PNG"), change)).appearance.texture is None

@@ -22,6 +22,7 @@ from .notes import ReadNotes
 
 _JSON_CHUNK = 0x4E4F534A
 _UNUSED_TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")
+_WEBP = "EXT_texture_webp"
 _CLAMP, _MIRROR, _FLOAT = 33071, 33648, 5126
 
 
@@ -32,6 +33,8 @@ class GltfMaterial:
     description: dict[str, Any]
     repeat_s: bool = True
     repeat_t: bool = True
+    image: str = ""
+    """What the image of the texture is called, if it has one."""
     texture_transform: dict[str, Any] | None = None
     """The KHR_texture_transform of the texture."""
 
@@ -135,5 +138,17 @@ def _textured(
         material,
         repeat_s=wraps.get("wrapS") != _CLAMP,
         repeat_t=wraps.get("wrapT") != _CLAMP,
+        image=_name_of_image(path, header, use["index"]),
         texture_transform=transform,
     )
+
+
+def _name_of_image(path: Path, header: dict[str, Any], texture: int) -> str:
+    """Of a texture: its file, or its number where it stands in this one."""
+    description = header["textures"][texture]
+    source = description.get("source")
+    if source is None:
+        source = description.get("extensions", {}).get(_WEBP, {}).get("source")
+    check_rows(path, f"texture {texture}", [] if source is None else [source], header, "images")
+    file = "" if source is None else str(header["images"][source].get("uri", ""))
+    return file if file and not file.startswith("data:") else f"glTF image {source}"

@@ -63,7 +63,7 @@ def read_mesh(path: Path, data: bytes, file_format: Format) -> tuple[tuple[nodes
             options["fix_texture"] = bool(_FACES_TEXCOORD.search(data))
         with _heard(notes):
             loaded = trimesh.load_scene(io.BytesIO(data), **options)
-            builder = _MeshBuilder(path, notes, loaded, materials, is_gltf=file_format == "glb")
+            builder = _MeshBuilder(path, notes, loaded, materials, resolver, is_gltf=file_format == "glb")
             children = nested_transforms(str(loaded.graph.base_frame), loaded.graph.to_edgelist(), builder.shape)
     except SceneFileError:
         raise
@@ -78,13 +78,21 @@ class _MeshBuilder:
     """Makes one Shape a geometry of a trimesh scene; materials and textures that several use are one node."""
 
     def __init__(
-        self, path: Path, notes: ReadNotes, scene: Any, gltf_materials: list[GltfMaterial], *, is_gltf: bool
+        self,
+        path: Path,
+        notes: ReadNotes,
+        scene: Any,
+        gltf_materials: list[GltfMaterial],
+        resolver: _FolderResolver,
+        *,
+        is_gltf: bool,
     ) -> None:
         self._path = path
         self._notes = notes
         self._geometry = scene.geometry
         self._gltf = is_gltf
         self._gltf_materials = gltf_materials
+        self._resolver = resolver
         self._textures = TextureReader(ResourceFolder(path))
         self._shapes: dict[str, nodes.Shape | None] = {}
         self._appearances: dict[tuple[int, bool], tuple[nodes.Appearance, bool]] = {}
@@ -134,6 +142,7 @@ class _MeshBuilder:
             if key.startswith("map_") or key == "bump":
                 self._notes.unused[f"mtl {key}"] += 1
         node = material_from_mtl(material.name, material.kwargs, material.glossiness)
+        self._note_unread(material.image, self._resolver.textures.get(material.name, ""))
         return nodes.Appearance(material=node, texture=self._texture(material.image))
 
     def _from_gltf(self, material: Any, described: GltfMaterial, *, colored: bool) -> tuple[nodes.Appearance, bool]:
@@ -141,11 +150,17 @@ class _MeshBuilder:
         name = str(description.get("name", ""))
         see_through = description.get("alphaMode", "OPAQUE") != "OPAQUE"
         repeats = (described.repeat_s, described.repeat_t)
+        self._note_unread(material.baseColorTexture, described.image)
         texture = self._texture(material.baseColorTexture, opaque=not see_through, repeats=repeats)
         node: nodes.Material | None = material_from_gltf(name, description, see_through=see_through)
         if described.is_unlit:
             node = None if colored or texture is not None else unlit_material_from_gltf(name, description)
         return nodes.Appearance(material=node, texture=texture), not description.get("doubleSided", False)
+
+    def _note_unread(self, image: Image.Image | None, name: str) -> None:
+        """Note a file that is there, but that trimesh could not open as an image."""
+        if image is None and name and name not in self._resolver.refused:
+            self._notes.missing.append(f"{name!r}: no image that can be read")
 
     def _texture(
         self, image: Image.Image | None, *, opaque: bool = False, repeats: tuple[bool, bool] = (True, True)
@@ -292,12 +307,16 @@ class _FolderResolver(Resolver):
         self._folder = ResourceFolder(path)
         self._notes = notes
         self._library = b""
+        self.textures: dict[str, str] = {}
+        """By the names of the materials of an obj, their files."""
+        self.refused: set[str] = set()
+        """What could not be had."""
 
     def read_libraries(self, text: ObjText) -> None:
         """Read all material files that an obj names, and note the materials that none of them has."""
         found = list(self._all_to_be_had(text.libraries))
         library = joined_libraries(found, self._notes)
-        self._library = library.data
+        self._library, self.textures = library.data, library.textures
         for name in text.materials if found else ():
             if name not in library.names:
                 self._notes.remarks.append(f"no material file has the material {name!r}")
@@ -308,6 +327,7 @@ class _FolderResolver(Resolver):
         try:
             return read_bounded(self._folder.find(name))
         except ValueError as error:
+            self.refused.add(name)
             self._notes.missing.append(str(error))
             raise FileNotFoundError(str(error)) from None
 

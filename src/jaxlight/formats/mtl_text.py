@@ -1,10 +1,12 @@
 """The text of material libraries (mtl), made ready for trimesh: all in one, in UTF-8, files of textures by their names.
 
-trimesh takes what stands before the name of a texture's file for a part of that name.
+trimesh takes what stands before the name of a texture's file for a part of that name, and drops all materials where one
+of them has a colour of another number of components than three.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
@@ -21,6 +23,8 @@ _VECTORS = ("-o", "-s", "-t")
 _NO_CHANGE = {"-blendu on", "-blendv on", "-cc off", "-clamp off", "-mm 0 1"}
 _NO_NUMBERS = {"-o": 0.0, "-s": 1.0, "-t": 0.0}
 """Numbers that leave a texture where it is."""
+_COLORS = ("ka", "kd", "ks", "ke")
+_NUMBERS = ("d", "illum", "ns", "tr")
 
 
 class Library(NamedTuple):
@@ -28,31 +32,47 @@ class Library(NamedTuple):
 
     data: bytes
     names: frozenset[str]
+    textures: dict[str, str]
+    """By the names of the materials, the files of those that have one."""
 
 
 def joined_libraries(libraries: Iterable[bytes], notes: ReadNotes) -> Library:
     """All libraries in one; a material stands in the first that has it. Options of textures are noted."""
     lines: list[str] = []
     names: set[str] = set()
+    textures: dict[str, str] = {}
+    name = ""
     for data in libraries:
         known = False
         here: set[str] = set()
         for line in text_of(data).split("\n"):
             keyword, *words = line.split(None, 1) or ("",)
             rest = words[0].strip() if words else ""
-            if keyword.lower() == "newmtl":
-                name = name_in(rest)
+            key = keyword.lower()
+            if key == "newmtl":
+                name = rest = name_in(rest)
                 known = name in names
                 here.add(name)
-                rest = name
-            elif keyword.lower() == "map_kd":
-                rest = _file_of(name_in(rest), notes)
-            elif not keyword.lower().startswith("map_"):
-                rest = rest.partition("#")[0].rstrip()
-            if rest and not known and not keyword.startswith("#"):
-                lines.append(f"{keyword} {rest}")
+            if known or not rest or keyword.startswith("#"):
+                continue
+            if key == "map_kd":
+                rest = textures[name] = _file_of(name_in(rest), notes)
+            elif key in (*_COLORS, *_NUMBERS):
+                rest = _values_of(name, keyword, rest.partition("#")[0].split(), notes)
+            lines += [f"{keyword} {rest}"] if rest else []
         names |= here
-    return Library("\n".join(lines).encode(), frozenset(names))
+    return Library("\n".join(lines).encode(), frozenset(names), textures)
+
+
+def _values_of(material: str, keyword: str, words: list[str], notes: ReadNotes) -> str:
+    """A colour of three numbers, of which one stands for all, or a number; empty (and noted) where it is none."""
+    counts = (1, 3) if keyword.lower() in _COLORS else (1,)
+    numbers = list(_numbers(words))
+    if not (len(words) == len(numbers) in counts and all(map(math.isfinite, numbers))):
+        expected = " or ".join(f"{count} number{'s' * (count > 1)}" for count in counts)
+        notes.remarks.append(f"{keyword} of material {material!r} is left out: {expected}, got {' '.join(words)!r:.60}")
+        return ""
+    return " ".join(words * (3 // len(words) if len(counts) > 1 else 1))
 
 
 def _file_of(reference: str, notes: ReadNotes) -> str:
