@@ -1,7 +1,8 @@
 """The JSON header of a binary glTF file: what trimesh is to read of it, and the source of exact factors.
 
-trimesh rounds material colours to 8 bits and drops names that repeat, so materials are given their number as name.
-It reads neither samplers nor KHR_texture_transform, and of texture coordinates only the first set.
+trimesh rounds material colours to 8 bits and drops names that repeat, so materials are given their number as name. It
+cuts colours of vertices without a material to 8 bits, so these are given one. It reads neither samplers nor
+KHR_texture_transform, and of texture coordinates only the first set.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ class GltfMaterial:
     description: dict[str, Any]
     repeat_s: bool = True
     repeat_t: bool = True
+    is_stand_in: bool = False
+    """True for that of colours without a material."""
     image: str = ""
     """What the image of the texture is called, if it has one."""
     texture_transform: dict[str, Any] | None = None
@@ -108,6 +111,18 @@ def _simplified_materials(path: Path, header: dict[str, Any], notes: ReadNotes) 
             materials.append(_textured(path, header, row, material, use, notes))
         else:
             materials.append(material)
+    bare = [
+        primitive
+        for mesh in header.get("meshes", [])
+        for primitive in mesh["primitives"]
+        if "material" not in primitive and "COLOR_0" in primitive["attributes"]
+    ]
+    if bare:
+        row = len(materials)
+        header.setdefault("materials", []).append({"name": str(row)})
+        materials.append(GltfMaterial({}, is_stand_in=True))
+        for primitive in bare:
+            primitive["material"] = row
     return materials
 
 

@@ -119,9 +119,9 @@ class _MeshBuilder:
     def _appearance(self, mesh: Any) -> tuple[nodes.Appearance, bool]:
         """The appearance, and whether only the front of the faces is to be seen (only glTF says so)."""
         material = _material_of(mesh)
-        if material is None or _is_stand_in(material):
-            return nodes.Appearance(material=nodes.Material()), False
         described = self._gltf_material(mesh)
+        if material is None or _is_stand_in(material) or (described is not None and described.is_stand_in):
+            return nodes.Appearance(material=nodes.Material()), False
         colored = described is not None and described.is_unlit and "color" in mesh.visual.vertex_attributes
         key = (id(material), colored)
         if key not in self._appearances:
@@ -250,7 +250,10 @@ def _colors(mesh: Any) -> tuple[nodes.Color | nodes.ColorRGBA | None, bool]:
     kind = mesh.visual.kind
     on_faces = False
     if kind in ("vertex", "face"):
-        colors, on_faces = (mesh.visual.vertex_colors if kind == "vertex" else mesh.visual.face_colors), kind == "face"
+        on_faces = kind == "face"
+        colors = _colors_of_ply(mesh, kind, len(mesh.faces) if on_faces else len(mesh.vertices))
+        if colors is None:
+            colors = mesh.visual.face_colors if on_faces else mesh.visual.vertex_colors
     else:
         beside = _colors_beside_texture(mesh)
         if len(beside.get("vertices", ())) == len(mesh.vertices):
@@ -265,6 +268,22 @@ def _colors(mesh: Any) -> tuple[nodes.Color | nodes.ColorRGBA | None, bool]:
     if values.shape[1] == 4 and not np.all(values[:, 3] == 1.0):
         return nodes.ColorRGBA(color=values), on_faces
     return nodes.Color(color=values[:, :3]), on_faces
+
+
+def _colors_of_ply(mesh: Any, element: str, count: int) -> np.ndarray | None:
+    """Colours [count, 3 or 4] as the file has them, which trimesh cuts to 8 bits; None if they are of other types."""
+    data = mesh.metadata.get("_ply_raw", {}).get(element, {}).get("data")
+    if data is None:
+        return None
+    there = set(data if isinstance(data, dict) else data.dtype.names or ())
+    if not {"red", "green", "blue"} <= there:
+        return None
+    columns = [np.ravel(data[name]) for name in ("red", "green", "blue", "alpha") if name in there]
+    types = {column.dtype.str.lstrip("<>|=") for column in columns}
+    if len(types) > 1 or not types <= {"u1", "u2", "f4", "f8"} or any(column.shape != (count,) for column in columns):
+        return None
+    colors = np.stack(columns, axis=1)
+    return colors / 255.0 if colors.dtype.kind == "f" and np.max(colors, initial=0) > 1 else colors
 
 
 def _colors_beside_texture(mesh: Any) -> dict[str, Any]:
