@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import struct
 import warnings
 from pathlib import Path
 
@@ -377,3 +378,35 @@ def test_damaged_vertices_of_an_ascii_stl_are_errors(tmp_path: Path) -> None:
 def test_names_of_solids_are_no_statements(tmp_path: Path) -> None:
     (tmp_path / "a.stl").write_text(ascii_stl("Facet vertex endsolid").replace("\n", "\r\n"))
     assert len(triangles(shapes_of(tmp_path / "a.stl")[0].geometry)) == 2
+
+
+def ply(kind: str, faces: list[tuple[int, ...]], *, colored: bool = False) -> bytes:
+    """A flat ply of five vertices."""
+    places = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 2, 0)]
+    colors = "".join(f"property uchar {name}\n" for name in ("red", "green", "blue")) if colored else ""
+    head = f"ply\nformat {kind} 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
+    head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\n{colors}end_header\n"
+    if kind == "ascii":
+        rows = [" ".join(map(str, place)) for place in places]
+        rows += [" ".join(map(str, [len(face), *face, *((9, 8, 7) if colored else ())])) for face in faces]
+        return (head + "\n".join(rows) + "\n").encode()
+    body = b"".join(struct.pack("<3f", *place) for place in places)
+    body += b"".join(struct.pack(f"<B{len(face)}i", len(face), *face) + b"987" * colored for face in faces)
+    return head.encode() + body
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])
+def test_a_ply_of_quads_is_read_without_the_colours_of_its_faces(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "a.ply").write_bytes(ply(kind, [(0, 1, 2, 3), (1, 4, 2, 0)], colored=True))
+    with pytest.warns(SceneFileWarning, match="ply colours of faces that have more than three corners x1"):
+        (shape,) = shapes_of(tmp_path / "a.ply")
+    assert len(triangles(shape.geometry)) == 4 and shape.geometry.color is None
+
+
+def test_faces_of_several_sizes_are_read_of_an_ascii_ply_only(tmp_path: Path) -> None:
+    faces = [(0, 1, 2, 3), (1, 4, 2)]
+    (tmp_path / "a.ply").write_bytes(ply("ascii", faces))
+    assert len(triangles(shapes_of(tmp_path / "a.ply")[0].geometry)) == 3
+    (tmp_path / "a.ply").write_bytes(ply("binary_little_endian", faces))
+    with pytest.raises(SceneFileError, match="faces of one size; of several an ascii ply may be"):
+        load(tmp_path / "a.ply")

@@ -231,7 +231,9 @@ def _face_set(mesh: Any, material: GltfMaterial | None, notes: ReadNotes, *, sol
         options["crease_angle"] = CREASE_ANGLE
     _note_lost(mesh, notes)
     colors, on_faces = _colors(mesh)
-    if colors is not None and on_faces:
+    if colors is not None and on_faces and len(colors.color) != len(faces):
+        notes.unused["ply colours of faces that have more than three corners"] += 1
+    elif colors is not None and on_faces:
         options |= {"color": colors, "color_per_vertex": False}
     elif colors is not None:
         per_vertex("color", colors)
@@ -392,5 +394,7 @@ def _sentence(error: Exception) -> str:
     if isinstance(error, ImportError):  # of what guesses an encoding: bytes that are no text, and not whole
         return "neither text nor complete"
     text = str(error).strip().partition("\n")[0]
+    if text == "PLY is unexpected length!":
+        return "its length is not that of what it announces with faces of one size; of several an ascii ply may be"
     text = f"an index is out of range: {text}" if isinstance(error, IndexError) else text
     return text[:200] if text else type(error).__name__
