@@ -246,6 +246,20 @@ def test_a_strange_picture_before_one_that_stands_in_the_url_itself_is_not_shown
     assert levels(load(out / "scene.x3d")) == [10] and len(os.listdir(out)) == 2
 
 
+def test_a_texture_that_was_missing_does_not_become_a_strange_picture(tmp_path: Path) -> None:
+    path, out = scene_of(tmp_path / "source", '"wood.png" "other.png"'), tmp_path / "out"
+    picture(out / "wood.png", 200)
+    with pytest.warns(SceneFileWarning, match="no such file"):
+        scene = load(path)
+    save(scene, out / "scene.x3d")
+    assert b'"other.png"' in (out / "scene.x3d").read_bytes() and b"wood" not in (out / "scene.x3d").read_bytes()
+    with pytest.warns(SceneFileWarning, match="no such file"):
+        assert levels(load(out / "scene.x3d")) == []
+    picture(path.parent / "wood.png", 10)  # put there meanwhile
+    save(scene, path.parent / "again.x3d")
+    assert (path.parent / "again.x3d").read_bytes() == path.read_bytes()
+
+
 def test_no_texture_is_written_through_a_link_to_elsewhere(tmp_path: Path) -> None:
     source, out, elsewhere = (tmp_path / name for name in ("source", "out", "elsewhere"))
     path = scene_of(source, '"sub/in.png"')

@@ -59,7 +59,7 @@ class TexturePlan:
                 if self._copies.get(found) == origin or (not self._is_planned(found) and _same_file(found, origin)):
                     self._settle(urls, found)
                     return None
-                if self._is_planned(found) or _is_image(found):
+                if self._is_shown(found):
                     break
             elif (name := _name_of(origin, source, url)) is not None:
                 place = self._free_place(url, name)
@@ -72,11 +72,23 @@ class TexturePlan:
         self._copies[target] = origin
         return (urllib.parse.quote(target.name),)
 
+    def missing(self, source: ResourceFolder, urls: tuple[str, ...]) -> tuple[str, ...] | None:
+        """The new urls of a texture whose urls found nothing in `source`; None if they find nothing beside `path`.
+
+        In the folder that they come from they stay: what they name may have been put there meanwhile.
+        """
+        if source.path == self._folder.path:
+            return None
+        found = {url: place for url in urls if (place := self._found(url)) is not None}
+        left = tuple(url for url in urls if url not in found or not self._is_shown(found[url]))
+        self._settle(left, None)
+        return None if left == urls else left
+
     def held(self, urls: tuple[str, ...]) -> tuple[str, ...] | None:
         """The new urls of a texture that did not change and stands in a url itself; None if no file comes before it."""
         before = tuple(itertools.takewhile(lambda url: not url.startswith("data:"), urls))
         for found in filter(None, map(self._found, before)):
-            if self._is_planned(found) or _is_image(found):
+            if self._is_shown(found):
                 return tuple(url for url in urls if url.startswith("data:"))
         self._settle(before, None)
         return None
@@ -116,6 +128,10 @@ class TexturePlan:
                 draft.write_bytes(read_bounded(origin))
         for target, image in self._images.items():
             write_image(target, np.flipud(image))
+
+    def _is_shown(self, place: Path) -> bool:
+        """Whether a reader of the scene would take what is or will be there, and look no further."""
+        return self._is_planned(place) or _is_image(place)
 
     def _is_planned(self, place: Path) -> bool:
         return place in self._images or place in self._copies
@@ -252,7 +268,7 @@ def texture_url(
         source: the file that is written back into, if any.
     """
     if new.image is None:
-        return None
+        return None if source is None else plan.missing(ResourceFolder(source.path), node.url)
     if new.image is not node.image:
         return plan.written(new.image, (), node.name or "texture")
     if source is None:
