@@ -15,7 +15,7 @@ READABLE = "X3D in its XML encoding (.x3d), glb, obj, ply, stl"
 _TOLD_BY_SUFFIX: dict[str, Format] = {".obj": "obj", ".stl": "stl"}
 """Text without a mark at its start, or bytes of any kind."""
 
-# (pattern at the start of the file, what it is): formats that are recognised, but not read yet.
+# (pattern at the start of the file, what it is; what to do): formats that are recognised, but not read yet.
 _NOT_YET = (
     (rb"\x1f\x8b", "a gzip-compressed file (.gz, .x3dz, .x3dvz, .wrz); unpack it first"),
     (rb"#VRML V2\.0", "VRML97 (.wrl)"),
@@ -45,7 +45,9 @@ def detect_format(path: Path, data: bytes) -> Format:
         raise SceneFileError(path, None, "the file is empty")
     for pattern, name in _NOT_YET:
         if re.match(pattern, start):
-            raise SceneFileError(path, 1, f"this is {name}, which jaxlight does not read yet; it reads {READABLE}")
+            kind, _, advice = name.partition("; ")
+            message = f"this is {kind}, which jaxlight does not read yet; it reads {READABLE}"
+            raise SceneFileError(path, 1, f"{message}; {advice}" if advice else message)
     if start.lstrip().startswith(_XML_STARTS):
         return "x3d"
     if start.startswith(b"glTF"):
