@@ -21,7 +21,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .culled_lights import CulledLights, Form
-from .elementary import arctangent
+from .elementary import arctangent, power_of_two_above, reciprocal_of_power_of_two
 from .ordinary import for_all_mapped, ordinary_lights
 from .stages import Stage
 from .terms import Received
@@ -171,18 +171,18 @@ def may_reach(lights: WorldLights, bounds: Bounds) -> Bool[Array, "lights groups
     reaches = jnp.ones((lights.count, low.x.shape[0]), dtype=bool)
     # Rounding of the bounds, of places and of distances in the equation, generously.
     slack = 64 * jnp.finfo(low.x.dtype).eps
-    margin = slack * (largest + _largest(place))
     if lights.radius is not None and lights.to_local is None:
         radius = lights.radius[:, 0]
         if lights.unit_length is not None:
             radius = radius * lights.unit_length[:, 0]
         outside = [jnp.maximum(jnp.maximum(a - c, c - b), 0.0) for a, b, c in zip(low, high, place, strict=True)]
+        margin = slack * (largest + _largest(place))
         within = jnp.square(radius * (1 + slack) + margin) + jnp.finfo(low.x.dtype).tiny
         # Squares that overflow or underflow say that a light reaches, or say it rightly that it does not.
         reaches &= ~(sum(jnp.square(c) for c in outside) > within)
     if lights.axis is not None and lights.cut_off_angle is not None:
         axis = Vector(*(component[:, 0] for component in lights.axis))
-        reaches &= _in_cone(place, axis, lights.cut_off_angle[:, 0], bounds, margin)
+        reaches &= _in_cone(place, axis, lights.cut_off_angle[:, 0], bounds, slack)
     return reaches
 
 
@@ -192,25 +192,25 @@ def _largest(components: tuple[Array, ...] | Vector | list[Array]) -> Array:
 
 
 def _in_cone(
-    place: Vector, axis: Vector, cut_off_angle: Array, bounds: Bounds, margin: Array
+    place: Vector, axis: Vector, cut_off_angle: Array, bounds: Bounds, slack: float
 ) -> Bool[Array, "lights groups"]:
-    """Whether a spot's cone may meet the sphere around the bounds, which is larger by a margin for rounding.
+    """Whether a spot's cone may meet the sphere around the bounds, which is larger by `slack` of all coordinates.
 
-    What has no normal number as its square, or is no number, counts as met.
+    In units of about the largest coordinate: what is so small that its square is lost is less than the slack.
     """
-    low, high, _ = bounds
+    low, high, largest = bounds
+    size = largest + _largest(place)
+    unit = reciprocal_of_power_of_two(power_of_two_above(size))
     half = (high - low).scaled(jnp.asarray(0.5, low.x.dtype))
-    radius = jnp.where(_largest(half) > 0, 1 / inverse_length(half), 0) + margin
-    to_center = (low + half) - place
-    size = _largest(to_center)
-    towards = to_center.scaled(1 / size)
-    aside = cross(axis, towards)
-    distance = jnp.sqrt(dot(towards, towards)) * size
-    angle = arctangent(jnp.sqrt(dot(aside, aside)), dot(axis, towards))
+    reach = jnp.where(_largest(half) > 0, 1 / inverse_length(half), 0)
+    radius = (reach + slack * size) * unit
+    to_center = ((low + half) - place).scaled(unit)
+    aside = cross(axis, to_center)
+    distance = jnp.sqrt(dot(to_center, to_center))
+    angle = arctangent(jnp.sqrt(dot(aside, aside)), dot(axis, to_center))
     # The sphere's half angle, seen from the light, is asin(radius / distance) <= pi/2 * radius / distance.
     spread = 1.6 * radius / distance
-    is_normal = size > 4 * jnp.finfo(low.x.dtype).tiny
-    surely_outside = is_normal & (distance > radius) & (angle - spread > cut_off_angle + 1e-3)
+    surely_outside = (distance > radius) & (angle - spread > cut_off_angle + 1e-3)
     return ~surely_outside
 
 
