@@ -170,7 +170,7 @@ def may_reach(lights: WorldLights, bounds: Bounds) -> Bool[Array, "lights groups
     place = Vector(*(component[:, 0] for component in lights.place))
     reaches = jnp.ones((lights.count, low.x.shape[0]), dtype=bool)
     # Rounding of the bounds, of places and of distances in the equation, generously.
-    slack = 64 * jnp.finfo(low.x.dtype).eps
+    slack = 64 * float(jnp.finfo(low.x.dtype).eps)
     if lights.radius is not None and lights.to_local is None:
         radius = lights.radius[:, 0]
         if lights.unit_length is not None:
