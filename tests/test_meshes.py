@@ -142,7 +142,7 @@ def test_material_libraries_are_bounded(tmp_path: Path, monkeypatch: pytest.Monk
     (tmp_path / "a.obj").write_text(OBJ + "".join(f"mtllib {number}.mtl\n" for number in range(1001)))
     with pytest.raises(SceneFileError, match="names more than 1000 material files"):
         load(tmp_path / "a.obj")
-    monkeypatch.setattr("jaxlight.formats.meshes.MAX_FILE_BYTES", len(MTL) + 10)
+    monkeypatch.setattr("jaxlight.formats.mesh_folder.MAX_FILE_BYTES", len(MTL) + 10)
     for name in ("box.mtl", "more.mtl"):
         (tmp_path / name).write_text(MTL.replace("map_", "# "))
     (tmp_path / "a.obj").write_text(OBJ + "mtllib more.mtl\n")

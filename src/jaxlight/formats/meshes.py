@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import trimesh
 from PIL import Image
-from trimesh.resolvers import Resolver
 from trimesh.visual.material import PBRMaterial
 
 from ..scene import nodes
@@ -22,20 +21,17 @@ from .encodings import Format
 from .errors import SceneFileError
 from .folder import ResourceFolder
 from .gltf_header import GltfMaterial, numbered_materials
-from .limits import MAX_FILE_BYTES, read_bounded
+from .mesh_faces import face_set
+from .mesh_folder import MeshFolder
 from .mesh_graph import nested_transforms
 from .mesh_lengths import checked_ply, checked_stl
 from .mesh_materials import material_from_gltf, material_from_mtl, unlit_material_from_gltf
-from .mtl_text import joined_libraries
 from .notes import ReadNotes
-from .obj_text import LIBRARY, ObjText, checked_obj
-from .x3d_checks import check_indices
+from .obj_text import checked_obj
 from .x3d_textures import TextureReader
 
 _FACES_TEXCOORD = re.compile(rb"^property[ \t]+list[ \t]+\S+[ \t]+\S+[ \t]+texcoord\b", re.MULTILINE)
 """What ply calls texture coordinates that stand with faces."""
-CREASE_ANGLE = np.pi / 3
-"""Radians. Meshes without normals are smooth up to this angle between faces: curved surfaces are, boxes are not."""
 
 
 def read_mesh(path: Path, data: bytes, file_format: Format) -> tuple[tuple[nodes.Node, ...], ReadNotes]:
@@ -46,15 +42,15 @@ def read_mesh(path: Path, data: bytes, file_format: Format) -> tuple[tuple[nodes
     """
     notes = ReadNotes()
     materials: list[GltfMaterial] = []
-    resolver = _FolderResolver(path, notes)
-    options: dict[str, Any] = {"file_type": file_format, "resolver": resolver, "process": False}
+    folder = MeshFolder(path, notes)
+    options: dict[str, Any] = {"file_type": file_format, "resolver": folder, "process": False}
     try:
         if file_format == "glb":
             data, materials = numbered_materials(path, data, notes)
         elif file_format == "obj":
             text = checked_obj(path, data, notes)
             data = text.data
-            resolver.read_libraries(text)
+            folder.read_libraries(text)
         elif file_format == "stl":
             data = checked_stl(path, data)
         elif file_format == "ply":
@@ -63,7 +59,7 @@ def read_mesh(path: Path, data: bytes, file_format: Format) -> tuple[tuple[nodes
             options["fix_texture"] = bool(_FACES_TEXCOORD.search(data))
         with _heard(notes):
             loaded = trimesh.load_scene(io.BytesIO(data), **options)
-            builder = _MeshBuilder(path, notes, loaded, materials, resolver, is_gltf=file_format == "glb")
+            builder = _MeshBuilder(path, notes, loaded, materials, folder, is_gltf=file_format == "glb")
             children = nested_transforms(str(loaded.graph.base_frame), loaded.graph.to_edgelist(), builder.shape)
     except SceneFileError:
         raise
@@ -83,7 +79,7 @@ class _MeshBuilder:
         notes: ReadNotes,
         scene: Any,
         gltf_materials: list[GltfMaterial],
-        resolver: _FolderResolver,
+        folder: MeshFolder,
         *,
         is_gltf: bool,
     ) -> None:
@@ -92,7 +88,7 @@ class _MeshBuilder:
         self._geometry = scene.geometry
         self._gltf = is_gltf
         self._gltf_materials = gltf_materials
-        self._resolver = resolver
+        self._folder = folder
         self._textures = TextureReader(ResourceFolder(path))
         self._shapes: dict[str, nodes.Shape | None] = {}
         self._appearances: dict[tuple[int, bool], tuple[nodes.Appearance, bool]] = {}
@@ -108,7 +104,7 @@ class _MeshBuilder:
             mesh: Any = self._geometry[name]
             if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
                 appearance, solid = self._appearance(mesh)
-                geometry = _face_set(mesh, self._gltf_material(mesh), self._notes, solid=solid)
+                geometry = face_set(mesh, self._gltf_material(mesh), self._notes, solid=solid)
                 label = name if self._gltf else ""  # of other formats the name is made up
                 self._shapes[name] = nodes.Shape(appearance=appearance, geometry=geometry, name=label)
             else:
@@ -142,7 +138,7 @@ class _MeshBuilder:
             if key.startswith("map_") or key == "bump":
                 self._notes.unused[f"mtl {key}"] += 1
         node = material_from_mtl(material.name, material.kwargs, material.glossiness)
-        self._note_unread(material.image, self._resolver.textures.get(material.name, ""))
+        self._note_unread(material.image, self._folder.textures.get(material.name, ""))
         return nodes.Appearance(material=node, texture=self._texture(material.image))
 
     def _from_gltf(self, material: Any, described: GltfMaterial, *, colored: bool) -> tuple[nodes.Appearance, bool]:
@@ -159,7 +155,7 @@ class _MeshBuilder:
 
     def _note_unread(self, image: Image.Image | None, name: str) -> None:
         """Note a file that is there, but that trimesh could not open as an image."""
-        if image is None and name and name not in self._resolver.refused:
+        if image is None and name and name not in self._folder.refused:
             self._notes.missing.append(f"{name!r}: no image that can be read")
 
     def _texture(
@@ -204,173 +200,6 @@ def _is_stand_in(material: Any) -> bool:
     """True for the gray material that trimesh makes up for texture coordinates without one: no file is behind it."""
     image = getattr(material, "image", None)
     return image is not None and image.format is None
-
-
-def _face_set(mesh: Any, material: GltfMaterial | None, notes: ReadNotes, *, solid: bool) -> nodes.IndexedFaceSet:
-    """Triangles with shared positions: where a file repeats a vertex for the sake of texture or normal, one is kept."""
-    faces = np.asarray(mesh.faces, dtype=np.int64)
-    if faces.min() < 0:
-        raise ValueError(f"a face has the index {faces.min()}")
-    positions, position_of = _distinct_rows(np.asarray(mesh.vertices, dtype=np.float64))
-    repeated = len(positions) < len(position_of)
-    corners = _with_ends(faces)
-    options: dict[str, Any] = {}
-
-    def per_vertex(field: str, node: nodes.Node) -> None:
-        options[field] = node
-        if repeated:
-            options[f"{field}_index"] = corners
-
-    uv = getattr(mesh.visual, "uv", None)
-    if uv is not None and np.shape(uv) == (len(position_of), 2):
-        uv = np.asarray(uv, dtype=np.float64)
-        per_vertex("tex_coord", nodes.TextureCoordinate(point=uv if material is None else material.texcoord(uv)))
-    if "vertex_normals" in mesh._cache:  # only there if the file had them
-        per_vertex("normal", nodes.Normal(vector=np.asarray(mesh.vertex_normals, dtype=np.float64)))
-    else:
-        options["crease_angle"] = CREASE_ANGLE
-    _note_lost(mesh, notes)
-    colors, on_faces = _colors(mesh)
-    if colors is not None and on_faces and len(colors.color) != len(faces):
-        notes.unused["ply colours of faces that have more than three corners"] += 1
-    elif colors is not None and on_faces:
-        options |= {"color": colors, "color_per_vertex": False}
-    elif colors is not None:
-        per_vertex("color", colors)
-    geometry = nodes.IndexedFaceSet(
-        coord=nodes.Coordinate(point=positions),
-        coord_index=_with_ends(position_of[faces]) if repeated else corners,
-        solid=solid,
-        **options,
-    )
-    check_indices(geometry)
-    return geometry
-
-
-def _colors(mesh: Any) -> tuple[nodes.Color | nodes.ColorRGBA | None, bool]:
-    """The colours of vertices or faces, and whether they are of faces; RGB if all are opaque."""
-    kind = mesh.visual.kind
-    on_faces = False
-    if kind in ("vertex", "face"):
-        on_faces = kind == "face"
-        colors = _colors_of_ply(mesh, kind, len(mesh.faces) if on_faces else len(mesh.vertices))
-        if colors is None:
-            colors = mesh.visual.face_colors if on_faces else mesh.visual.vertex_colors
-    else:
-        beside = _colors_beside_texture(mesh)
-        if len(beside.get("vertices", ())) == len(mesh.vertices):
-            colors = beside["vertices"]
-        elif len(beside.get("faces", ())) == len(mesh.faces):
-            colors, on_faces = beside["faces"], True
-        else:
-            return None, False
-    colors = np.asarray(colors)
-    largest = np.iinfo(colors.dtype).max if np.issubdtype(colors.dtype, np.integer) else 1.0
-    values = np.clip(colors.astype(np.float64) / largest, 0.0, 1.0)
-    if values.shape[1] == 4 and not np.all(values[:, 3] == 1.0):
-        return nodes.ColorRGBA(color=values), on_faces
-    return nodes.Color(color=values[:, :3]), on_faces
-
-
-def _colors_of_ply(mesh: Any, element: str, count: int) -> np.ndarray | None:
-    """Colours [count, 3 or 4] as the file has them, which trimesh cuts to 8 bits; None if they are of other types."""
-    data = mesh.metadata.get("_ply_raw", {}).get(element, {}).get("data")
-    if data is None:
-        return None
-    there = set(data if isinstance(data, dict) else data.dtype.names or ())
-    if not {"red", "green", "blue"} <= there:
-        return None
-    columns = [np.ravel(data[name]) for name in ("red", "green", "blue", "alpha") if name in there]
-    types = {column.dtype.str.lstrip("<>|=") for column in columns}
-    if len(types) > 1 or not types <= {"u1", "u2", "f4", "f8"} or any(column.shape != (count,) for column in columns):
-        return None
-    colors = np.stack(columns, axis=1)
-    return colors / 255.0 if colors.dtype.kind == "f" and np.max(colors, initial=0) > 1 else colors
-
-
-def _colors_beside_texture(mesh: Any) -> dict[str, Any]:
-    """Colours of the vertices or faces of a mesh that has texture coordinates too, where trimesh leaves them."""
-    found = {
-        "vertices": getattr(mesh.visual, "vertex_attributes", {}).get("color", mesh.vertex_attributes.get("color")),
-        "faces": mesh.face_attributes.get("color"),
-    }
-    return {name: colors for name, colors in found.items() if colors is not None}
-
-
-def _note_lost(mesh: Any, notes: ReadNotes) -> None:
-    """Note what a ply has for vertices or faces that trimesh repeated or divided, and which no longer fits them."""
-    beside, raw = _colors_beside_texture(mesh), mesh.metadata.get("_ply_raw", {})
-    for name, count in (("vertices", len(mesh.vertices)), ("faces", len(mesh.faces))):
-        if len(beside.get(name, ())) not in (0, count):
-            notes.unused[f"ply colours of {name} beside texture coordinates"] += 1
-    if "nx" in raw.get("vertex", {}).get("properties", {}) and "vertex_normals" not in mesh._cache:
-        notes.unused["ply normals of vertices beside texture coordinates of faces"] += 1
-
-
-def _with_ends(triangles: np.ndarray) -> np.ndarray:
-    """Index triples [n, 3] as X3D writes faces: -1 after each."""
-    return np.hstack([triangles, np.full((len(triangles), 1), -1)]).ravel()
-
-
-def _distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The distinct rows in order of first appearance, and for each row which of them it is."""
-    distinct, first, inverse = np.unique(rows + 0.0, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order))
-    return distinct[order], rank[inverse.ravel()]
-
-
-class _FolderResolver(Resolver):
-    """Gives trimesh the files that a mesh names, from the mesh's folder only; what cannot be had is noted."""
-
-    def __init__(self, path: Path, notes: ReadNotes) -> None:
-        self._folder = ResourceFolder(path)
-        self._notes = notes
-        self._library = b""
-        self.textures: dict[str, str] = {}
-        """By the names of the materials of an obj, their files."""
-        self.refused: set[str] = set()
-        """What could not be had."""
-
-    def read_libraries(self, text: ObjText) -> None:
-        """Read all material files that an obj names, and note the materials that none of them has."""
-        found = list(self._all_to_be_had(text.libraries))
-        library = joined_libraries(found, self._notes)
-        self._library, self.textures = library.data, library.textures
-        for name in text.materials if found else ():
-            if name not in library.names:
-                self._notes.remarks.append(f"no material file has the material {name!r}")
-
-    def get(self, name: str) -> bytes:
-        if name == LIBRARY:
-            return self._library
-        try:
-            return read_bounded(self._folder.find(name))
-        except ValueError as error:
-            self.refused.add(name)
-            self._notes.missing.append(str(error))
-            raise FileNotFoundError(str(error)) from None
-
-    def _all_to_be_had(self, names: list[str]) -> Iterator[bytes]:
-        left = MAX_FILE_BYTES
-        for name in names:
-            with contextlib.suppress(FileNotFoundError):
-                library = self.get(name)
-                left -= len(library)
-                if left < 0:
-                    self._notes.missing.append(f"{name}: material files of more than {MAX_FILE_BYTES // 2**20} MiB")
-                    return
-                yield library
-
-    def write(self, name: str, data: Any) -> None:
-        raise PermissionError("reading a mesh writes nothing")
-
-    def namespaced(self, namespace: str) -> _FolderResolver:
-        raise FileNotFoundError(namespace)
-
-    def keys(self) -> list[str]:
-        return []
 
 
 @contextlib.contextmanager
