@@ -58,8 +58,8 @@ PLANTED: dict[str, tuple[list[Any], dict[str, Any], list[str], list[str]]] = {
         [f"PointLight[twin].intensity {TRADED} PointLight[key].intensity: {SUM}"],
     ),
     "two lights of one strength and place": (
-        [key_light(), key_light(name="equal")], {}, ["PointLight[*].intensity", "Material[body].shininess"],
-        [f"PointLight[equal].intensity {TRADED} PointLight[key].intensity: {SUM}"],
+        [key_light(), key_light(name="twin")], {}, ["PointLight[*].intensity", "Material[body].shininess"],
+        [f"PointLight[twin].intensity {TRADED} PointLight[key].intensity: {SUM}"],
     ),
     "strength against an exposure as large": (
         [key_light(intensity=1.0)], {}, ["PointLight[key].intensity", "View[0].exposure", "Material[body].shininess"],
