@@ -196,6 +196,9 @@ def test_options_of_textures_are_told_from_their_names(tmp_path: Path, reference
         ("Kd 0.1 0.2", "diffuse_color", (0.8, 0.8, 0.8), "Kd of .*: 1 number or 3 numbers, got '0.1 0.2'"),
         ("Kd 0.1 nan 0.3", "diffuse_color", (0.8, 0.8, 0.8), "Kd of material 'odd' is left out.* got '0.1 nan 0.3'"),
         ("Ks spectral a.rfl", "specular_color", (0, 0, 0), "Ks of material 'odd' is left out.* got 'spectral a.rfl'"),
+        ("d -halo 0.5", "transparency", 0, "d of material 'odd' is left out: 1 number, got '-halo 0.5'"),
+        ("d 0.25", "transparency", 0.75, ""),
+        ("Ke 0.1 0.2 0.3", "emissive_color", (0.1, 0.2, 0.3), ""),
         ("Ns 3 4", "shininess", 0.2, "Ns of material 'odd' is left out: 1 number, got '3 4'"),
     ],
 )

@@ -25,7 +25,7 @@ def material_from_mtl(name: str, values: dict[str, Any], glossiness: float) -> M
 
     Args:
         name: the entry's name, which becomes the DEF name.
-        values: its lines by lower-case key; values are numbers, or words.
+        values: its lines by lower-case key; values are numbers, or words for them, as `mtl_text` leaves them.
         glossiness: Ns.
     """
     diffuse = _color(values.get("kd"), (0.8, 0.8, 0.8))
@@ -100,20 +100,10 @@ def _material(name: str, **values: Any) -> Material:
 
 
 def _number(value: Any, default: float) -> float:
-    """The first number of a line of words, or of what trimesh made of it."""
-    return float((_numbers(value) or [default])[0])
+    """The number of a line, as a word or as trimesh made one of it."""
+    return default if value is None else float(np.ravel(value)[0])
 
 
 def _color(value: Any, default: tuple[float, float, float]) -> np.ndarray:
-    """Three numbers; one number counts three times."""
-    numbers = _numbers(value)
-    return np.asarray(numbers[:3] if len(numbers) >= 3 else numbers[:1] * 3 or default, dtype=np.float64)
-
-
-def _numbers(value: Any) -> list[float]:
-    """The finite numbers that a line gives; none if a word in it is not a number."""
-    try:
-        numbers = np.ravel(np.asarray([] if value is None else value, dtype=np.float64))
-    except (TypeError, ValueError):
-        return []
-    return numbers.tolist() if np.all(np.isfinite(numbers)) else []
+    """The three numbers of a line, likewise."""
+    return np.asarray(default if value is None else value, dtype=np.float64)
