@@ -19,6 +19,7 @@ from jax.sharding import AxisType, PartitionSpec
 from jaxlight import SampleBuffer, Scene, nodes, shade, sum_over_samples
 from jaxlight.lighting import Plan, make_plan
 from jaxlight.raster.samples import MANY_LIGHTS
+from leaves import assert_leaves_close
 
 SHARED, OWN = PartitionSpec(), PartitionSpec("i")
 FACTOR = np.float32(1.5)
@@ -62,8 +63,7 @@ def tile_by_tile(plan: Plan) -> Loss:
 
 
 def assert_close(got: Any, wanted: Any) -> None:
-    for one, other in zip(jax.tree.leaves(got), jax.tree.leaves(wanted), strict=True):
-        np.testing.assert_allclose(one, other, rtol=2e-5, atol=2e-5 * max(1e-2, float(jnp.max(jnp.abs(other)))))
+    assert_leaves_close(got, wanted, 2e-5, least=1e-2)
 
 
 def on_two_devices(lights: int, *, whole: bool) -> None:

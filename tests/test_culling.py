@@ -21,6 +21,7 @@ from jaxlight.lighting.vectors import Vector
 from jaxlight.lighting.world import lights_in_world
 from jaxlight.raster import SampleBuffer, rasterize
 from jaxlight.raster.samples import CLUSTER, MANY_LIGHTS
+from leaves import assert_leaves_close
 
 LIGHTS = 300
 
@@ -98,8 +99,7 @@ def test_culling_changes_no_value_and_no_derivative(
 
         got, wanted = (shade(scene, samples, plan=plan) for plan in (culled, brute))
         np.testing.assert_allclose(got, wanted, atol=tolerance)
-        for one, other in zip(jax.tree.leaves(slope(culled)), jax.tree.leaves(slope(brute)), strict=True):
-            np.testing.assert_allclose(one, other, atol=tolerance * max(1.0, float(jnp.max(jnp.abs(other)))))
+        assert_leaves_close(slope(culled), slope(brute), tolerance)
 
 
 @pytest.mark.parametrize(
@@ -152,8 +152,7 @@ def test_more_lights_than_a_tile_collects_at_once(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(culling, "BATCH", culling.WORD)
     jax.clear_caches()
     got = shade(scene, samples, plan=culled), slope(scene, culled)
-    for one, other in zip(jax.tree.leaves(got), jax.tree.leaves(wanted), strict=True):
-        np.testing.assert_allclose(one, other, atol=2e-5 * max(1.0, float(jnp.max(jnp.abs(other)))))
+    assert_leaves_close(got, wanted, 2e-5)
     jax.clear_caches()
 
 
@@ -184,8 +183,7 @@ def test_clusters_are_shaded_in_any_order(few_at_once: None) -> None:
     )
     assert np.std(wanted[:, 3]) > 0.05
     np.testing.assert_allclose(got, wanted, atol=2e-5)
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_allclose(one, other, atol=3e-5 * max(1.0, float(jnp.max(jnp.abs(other)))))
+    assert_leaves_close(found, expected, 3e-5)
 
 
 def test_clusters_are_ordered_by_lights_of_both_kinds(few_at_once: None) -> None:
@@ -201,8 +199,7 @@ def test_tiles_smaller_than_a_cluster() -> None:
     samples = SampleBuffer.create(samples.position[:40], samples.normal[:40], samples.eye, tile=4)
     culled, brute = plans(scene, samples)
     slope = jax.jit(jax.grad(lambda scene, plan: jnp.sum(shade(scene, samples, plan=plan) ** 2)), static_argnums=1)
-    for one, other in zip(*(jax.tree.leaves(slope(scene, plan)) for plan in (culled, brute)), strict=True):
-        np.testing.assert_allclose(one, other, atol=2e-5 * max(1.0, float(jnp.max(jnp.abs(other)))))
+    assert_leaves_close(slope(scene, culled), slope(scene, brute), 2e-5)
 
 
 def test_lists_are_short_whatever_the_order_of_the_samples(few_at_once: None) -> None:

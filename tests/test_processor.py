@@ -18,6 +18,7 @@ from jaxlight.fit import View
 from jaxlight.fit.normal import normal_equations
 from jaxlight.fit.problem import make_problem
 from jaxlight.lighting import make_plan, shade
+from leaves import assert_leaves_close
 
 
 @pytest.fixture
@@ -57,8 +58,7 @@ def test_colours_and_derivatives_are_the_same(
 
     wanted = results()
     turn_to_gpu()
-    for one, other in zip(jax.tree.leaves(results()), jax.tree.leaves(wanted), strict=True):
-        np.testing.assert_allclose(one, other, atol=3e-5 * max(1.0, float(jnp.max(jnp.abs(other)))))
+    assert_leaves_close(results(), wanted, 3e-5)
 
 
 def sheet_under_lights(count: int) -> tuple[Scene, SampleBuffer]:
@@ -103,8 +103,7 @@ def test_normal_equations_are_the_same(turn_to_gpu: Callable[[], None]) -> None:
 
     wanted = equations()
     turn_to_gpu()
-    for one, other in zip(jax.tree.leaves(equations()), jax.tree.leaves(wanted), strict=True):
-        np.testing.assert_allclose(one, other, rtol=2e-5, atol=2e-6 * float(jnp.max(jnp.abs(other))))
+    assert_leaves_close(equations(), wanted, 2e-6, least=0.0)
 
 
 def test_images_are_few_large_tiles_for_a_gpu(turn_to_gpu: Callable[[], None]) -> None:

@@ -13,6 +13,7 @@ import pytest
 from colored_bodies import colored_bodies
 from fit_scenes import precision
 from jaxlight import SampleBuffer, Scene, compiler_options, nodes, shade, sum_over_samples
+from leaves import assert_leaves_close
 
 
 def two_surfaces(dtype: Any, count: int = 700) -> tuple[Scene, SampleBuffer, np.ndarray]:
@@ -28,13 +29,6 @@ def two_surfaces(dtype: Any, count: int = 700) -> tuple[Scene, SampleBuffer, np.
     surface = random.integers(0, 2, count)
     samples = SampleBuffer.create(points, points, [0, 0, 6], surface=surface, dtype=dtype)
     return scene, samples, random.uniform(size=(count, 3))
-
-
-def close(found: Any, expected: Any, digits: float) -> None:
-    pairs = list(zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True))
-    assert pairs
-    for one, other in pairs:
-        np.testing.assert_allclose(one, other, rtol=0, atol=digits * max(1.0, float(jnp.max(jnp.abs(other)))))
 
 
 def test_value_and_derivatives_are_those_of_the_colours_of_all_samples() -> None:
@@ -59,7 +53,7 @@ def test_value_and_derivatives_are_those_of_the_colours_of_all_samples() -> None
 
         moving = (free, jnp.asarray(1.2, dtype))
         expected = jax.jit(jax.value_and_grad(wanted))(moving)
-        close(jax.jit(jax.value_and_grad(ours))(moving), expected, 1e-12)
+        assert_leaves_close(jax.jit(jax.value_and_grad(ours))(moving), expected, 1e-12)
         assert float(ours(moving)) == pytest.approx(float(expected[0]), rel=1e-12)
         # Of the number alone, not of the scene.
         assert float(jax.grad(lambda e: ours((free, e)))(moving[1])) == pytest.approx(float(expected[1][1]), rel=1e-11)
@@ -81,7 +75,7 @@ def test_derivatives_by_samples_and_textures_are_those_of_the_whole_image() -> N
 
     moving = ([texture.image for texture in scene.textures], samples.position)
     found, expected = (jax.jit(jax.grad(function, argnums=(0, 1)))(*moving) for function in (ours, wanted))
-    close(found, expected, 1e-5)
+    assert_leaves_close(found, expected, 1e-5)
 
 
 def test_every_tile_is_evaluated_once() -> None:
@@ -119,7 +113,7 @@ def test_functions_may_close_over_whatever_is_traced() -> None:
 
     only_red, only_green, both = (slope(free, jnp.array(chosen)) for chosen in ([1, 0, 0], [0, 1, 0], [1, 1, 0]))
     assert any(np.any(leaf) for leaf in jax.tree.leaves(only_red))
-    close(jax.tree.map(jnp.add, only_red, only_green), both, 1e-5)
+    assert_leaves_close(jax.tree.map(jnp.add, only_red, only_green), both, 1e-5)
 
 
 def test_what_does_not_fit_is_named() -> None:

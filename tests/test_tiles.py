@@ -18,6 +18,7 @@ from jaxlight.fit.normal import loss_and_gradient
 from jaxlight.fit.problem import make_problem
 from jaxlight.lighting import cores, make_plan, shade, shade_tiles
 from jaxlight.raster import SampleBuffer
+from leaves import assert_leaves_close
 
 COUNT = 5000
 
@@ -66,8 +67,7 @@ def test_the_size_of_tiles_changes_no_colour_and_no_derivative() -> None:
         return jnp.sum((colors[:, :3] - target) ** 2)
 
     of_large, of_small = (jax.jit(jax.grad(loss))(free, samples) for samples in (large, small))
-    for ours, other in zip(jax.tree.leaves(of_large), jax.tree.leaves(of_small), strict=True):
-        np.testing.assert_allclose(ours, other, rtol=2e-5, atol=2e-5 * (float(np.abs(other).max()) + 1))
+    assert_leaves_close(of_large, of_small, 2e-5)
 
 
 def test_lights_in_chunks_have_the_same_colours_and_derivatives(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,8 +83,7 @@ def test_lights_in_chunks_have_the_same_colours_and_derivatives(monkeypatch: pyt
     jax.clear_caches()
     in_chunks = jax.jit(jax.value_and_grad(loss))(free)
     jax.clear_caches()
-    for ours, other in zip(jax.tree.leaves(in_chunks), jax.tree.leaves(at_once), strict=True):
-        np.testing.assert_allclose(ours, other, rtol=2e-5, atol=2e-5 * (float(np.abs(other).max()) + 1))
+    assert_leaves_close(in_chunks, at_once, 2e-5)
 
 
 @pytest.mark.parametrize(("lights", "shares", "bits"), [(3, 2, "float32"), (3, 5, "float64"), (20, 3, "float32")])

@@ -74,7 +74,6 @@ class PlacedShapes:
             if key not in known:
                 known[key] = geometry_of(placed.node)
             own = known[key]
-            world_bounds(placed, own)
             all_shapes.append(own)
             counts.append(2 * len(own.faces) if isinstance(own, Primitive) else len(own))
             total += counts[-1]
@@ -83,6 +82,8 @@ class PlacedShapes:
                     f"rasterize: the scene has more than {MAX_TRIANGLES} triangles: {total} up to {placed.node.label}, "
                     f"{number} of {len(shapes)} placed shapes (one used again counts every time)"
                 )
+        for placed, own in zip(shapes, all_shapes, strict=True):
+            world_bounds(placed, own)  # refuses what lies too far away
         return cls(scene, tuple(all_shapes), np.cumsum(counts))
 
     def prepared(self, camera: Camera, width: int, height: int) -> tuple[Prepared, PreparedFaces | None]:
