@@ -11,7 +11,7 @@ import numpy as np
 
 from fit_scenes import key_light, material, precision, sphere_picture, sphere_points, sphere_samples, sphere_scene
 from jaxlight import Free, SampleBuffer, View, fit, fitted_values, nodes
-from jaxlight.fit.problem import Problem
+from jaxlight.fit.problem import Problem, make_problem
 
 FREE = [Free("Material[body].diffuse_color.g", upper=0.3), "Material[body].diffuse_color.r", "Material[body].shininess"]
 """The truth of the first is 0.35: its bound holds it."""
@@ -87,7 +87,7 @@ def test_derivatives_do_not_depend_on_the_unit_of_length() -> None:
                 scale * points, points, (0, 0, 4 * scale), pixel=pixel, width=16, height=16, dtype=dtype
             )
             light = key_light(location=tuple(scale * x for x in key_light().location), radius=1e9)
-            problem = fit(sphere_scene(light, dtype=dtype), View(samples, picture), free).problem
+            problem, _ = make_problem(sphere_scene(light, dtype=dtype), View(samples, picture), free)
             slopes = slopes_at(problem.world.scene.point.intensity, problem)[:, 0]
             found.append(np.asarray(slopes) / [1, scale, scale, scale])
     assert np.all(np.abs(found[0]) > 0.1)

@@ -27,6 +27,12 @@ ABOUT_RESIDUALS = [
 ]  # fmt: skip
 LOSS_ALONE = [*ABOUT_RESIDUALS, "grey target + huber", "background + cauchy", "weights and mask", "many lights"]
 """Of which the loss is asked for without a derivative, too: a program of its own."""
+FORWARD_ALONE = [
+    "ties", "a tie of a colour and an exponent, and a prior", "one of many lights", "a light alone and sensor limits",
+    "every number of every material", "nothing but materials + huber", "lights in another order in a view",
+    "a light of its own in each view of every kind",
+]  # fmt: skip
+"""Whose gradient in reverse mode, which does not depend on how directions are grouped, is that of others."""
 
 
 def scene(dtype: Any, small: int = 0, every_kind: bool = False) -> Scene:
@@ -145,9 +151,6 @@ def problem(kind: str, dtype: Any) -> Problem:
         free = ["Material[body].*", Free("PointLight[*].intensity"), "PointLight[*].location"]
     if kind == "one of many lights":
         free = ["Material[body].shininess", "PointLight[key].*"]
-    if kind == "some lights of every kind":
-        free = ["Material[*].specular_color", "SpotLight[left].*", "SpotLight[right].intensity"]
-        free += ["DirectionalLight[east].*", "PointLight[key].attenuation"]
     if kind == "a light alone and sensor limits":
         free = ["PointLight[fill].location"]
     return make_problem(scene(dtype, small, "every kind" in kind), views, free, **more)[0]
@@ -156,7 +159,7 @@ def problem(kind: str, dtype: Any) -> Problem:
 KINDS = [
     "weights and mask", "grey target + huber", "background + cauchy", "several samples a pixel over a background",
     "views of different size, one light each", "ties", "a tie of a colour and an exponent, and a prior",
-    "many lights", "one of many lights", "some lights of every kind", "a light alone and sensor limits",
+    "many lights", "one of many lights", "a light alone and sensor limits",
     "every number of every material", "materials and ties between them", "nothing but materials + huber",
     "several samples a pixel of two materials", "a light of its own in each view of every kind",
     "exposures of pixels of several samples", "every light of every kind, one by one",
@@ -193,15 +196,23 @@ def test_streamed_sums_are_the_dense_ones(kind: str) -> None:
         (light_plan,) = {view.plan.point for view in made.views} if "many lights" in kind else (None,)
         assert light_plan is None or light_plan.culled
         loss, gradient, curvature = dense(made, values)
-        sums = [normal.normal_equations, normal.loss_and_gradient, *([normal.loss] if kind in LOSS_ALONE else [])]
-        found, by_reverse, *alone = jax.jit(lambda *given: [of(*given) for of in sums])(made, values)
-        assert alone == [pytest.approx(loss, rel=1e-12)] * len(alone)
+        sums: dict[str, Any] = {"forward": normal.normal_equations}
+        if kind not in FORWARD_ALONE:
+            sums["reverse"] = normal.loss_and_gradient
+        if kind in LOSS_ALONE:
+            sums["loss"] = normal.loss
+        all_sums = jax.jit(lambda *given: {name: of(*given) for name, of in sums.items()})(made, values)
+        found = all_sums["forward"]
         assert float(found.loss) == pytest.approx(loss, rel=1e-12)
         scale = np.sqrt(np.diagonal(curvature))
         np.testing.assert_allclose(found.curvature, curvature, rtol=0, atol=1e-11 * np.outer(scale, scale).max())
         np.testing.assert_allclose(found.gradient, gradient, rtol=0, atol=1e-11 * np.abs(gradient).max())
-        assert float(by_reverse[0]) == pytest.approx(loss, rel=1e-12)
-        np.testing.assert_allclose(by_reverse[1], gradient, rtol=0, atol=1e-11 * np.abs(gradient).max())
+        if "reverse" in all_sums:
+            value, slope = all_sums["reverse"]
+            assert float(value) == pytest.approx(loss, rel=1e-12)
+            np.testing.assert_allclose(slope, gradient, rtol=0, atol=1e-11 * np.abs(gradient).max())
+        if "loss" in all_sums:
+            assert float(all_sums["loss"]) == pytest.approx(loss, rel=1e-12)
 
 
 @functools.cache
@@ -230,15 +241,6 @@ def test_single_precision_keeps_its_type_and_its_digits(kind: str, bits: str) ->
             atol=2e-5,
         )
         assert float(found.loss) == pytest.approx(float(exact.loss), rel=1e-5)
-
-
-def test_the_gradient_is_the_derivative_of_the_loss() -> None:
-    with precision("float64") as dtype:
-        made = problem("background + cauchy", dtype)
-        values = made.parameters.start
-        by_reverse = jax.jit(jax.grad(lambda v, p: normal.loss(p, v)))(values, made)
-        found = jax.jit(normal.normal_equations)(made, values).gradient
-        np.testing.assert_allclose(found, by_reverse, rtol=0, atol=1e-10 * np.abs(by_reverse).max())
 
 
 def test_in_forward_mode_numbers_of_lights_move_as_numbers_one_light_at_a_time() -> None:

@@ -93,7 +93,7 @@ def test_texture_material_and_lights_are_found_together(bits: str, nearest: bool
 
 @pytest.mark.parametrize(
     ("components", "prior"),
-    [(1, {"total_variation": 0.1}), (3, {"smoothness": 0.2}), (4, {"deviation": 0.3})],
+    [(1, {"total_variation": 0.1}), (4, {"deviation": 0.3})],
 )
 def test_the_arrow_is_the_dense_matrix(components: int, prior: dict[str, float], monkeypatch: Any) -> None:
     """The same problem with the texels kept as single numbers gives the matrix that the arrow stands for."""
@@ -177,11 +177,10 @@ def test_texels_stay_in_their_bounds_and_what_no_sample_sees_stays() -> None:
             assert found.unseen_texels == () and found.well_posed
 
 
-@pytest.mark.parametrize("bits", ["float32", "float64"])
-def test_an_ambiguity_is_named_where_a_texel_of_it_lies_on_a_bound(bits: str) -> None:
+def test_an_ambiguity_is_named_where_a_texel_of_it_lies_on_a_bound() -> None:
     body: dict[str, Any] = {"specular_color": (0.0, 0.0, 0.0)}
     bright = skin() / skin().max()
-    with precision(bits) as dtype:
+    with precision("float32") as dtype:
         seen = views(scene(bright, dtype, **body), dtype)
         best = fit(scene(bright, dtype, **body), seen, [SKIN, "PointLight[*].intensity"])
         values = np.asarray(best.state.values, np.float64)

@@ -156,8 +156,7 @@ def test_numbers_at_a_bound_are_told_and_taken_as_known() -> None:
     assert f"{DIFFUSE}.r lies on its upper bound" in found.messages()
 
 
-@pytest.mark.parametrize("bits", ["float32", "float64"])
-@pytest.mark.parametrize("levels", [0, 255])
+@pytest.mark.parametrize(("bits", "levels"), [("float32", 0), ("float64", 255)])
 def test_an_ambiguity_is_named_where_one_of_its_numbers_lies_on_a_bound(bits: str, levels: int) -> None:
     """Whatever the rounding of the values, which the slope at the bound is made of."""
     free = ["PointLight[key].intensity", DIFFUSE, SPECULAR]
