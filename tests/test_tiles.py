@@ -54,7 +54,7 @@ def samples_in_tiles(tile: int) -> SampleBuffer:
 
 
 def test_the_size_of_tiles_changes_no_colour_and_no_derivative() -> None:
-    scene = scene_with_lights(20)
+    scene = scene_with_lights(3)
     large, small = samples_in_tiles(1024), samples_in_tiles(256)
     assert shade_tiles(scene, large).shape == (large.slots // 1024, 4, 1024)
     np.testing.assert_array_equal(shade(scene, large), shade(scene, small))
