@@ -22,6 +22,7 @@ SCENE = """<X3D version="3.3"><Scene>
 BAD: dict[str, tuple[list[str], str]] = {
     "no samples": (["--samples", "0"], "--samples: expected a whole number of samples a pixel in [1, 256], got 0"),
     "no saturation": (["--saturated", "nan"], "--saturated: expected a number, got nan"),
+    "full below black": (["--saturated", "-1"], "--saturated: expected a number > 0, got -1"),
     "begin and go on": (["--resume", "--overwrite"], "--overwrite: expected --resume or --overwrite, not both"),
     "a scale of squares": (["--loss-scale", "3"], "--loss-scale: squares have none; leave it out"),
     "steps in words": (["--max-steps", "abc"], "--max-steps: expected a whole number, got 'abc'"),

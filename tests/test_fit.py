@@ -348,6 +348,7 @@ WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "background of words": ({"background": "white"}, {}, "View[0].background: expected numbers, got 'white'"),
     "NaN background": ({"background": (np.nan, 0, 0)}, {}, "View[0].background: every number must be finite"),
     "saturated": ({"saturated": np.nan}, {}, "View[0].saturated: expected a number, got nan"),
+    "full without light": ({"saturated": 0.0}, {}, "View[0].saturated: expected a number > 0, got 0"),
     "dark above saturated": (
         {"dark": 0.5, "saturated": 0.5}, {}, "View[0].dark: expected a number below `saturated`, 0.5, got 0.5",
     ),

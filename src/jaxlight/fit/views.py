@@ -38,7 +38,7 @@ class View:
             the residuals by 1 / noise^2; stated in every view, it makes standard errors absolute.
         exposure: factor between the scene's light and the picture's numbers; free it as `View[0].exposure`.
         lights: the light that shone, such as `"PointLight[3]"`, or several; None: all lights of the scene.
-        saturated: values at or above are lower limits (the sensor was full), not measurements.
+        saturated: > 0, values at or above are lower limits (the sensor was full), not measurements.
         dark: values at or below are upper limits (nothing was recorded).
         background: RGB or [height, width, 3]; shade's alpha and partly covered pixels are composited over it.
             None: alpha is ignored and pixels that the samples do not cover entirely are left out.
@@ -138,6 +138,8 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         default if given is None else number(f"{label}.{field}", given, infinite=True)
         for field, given, default in (("saturated", view.saturated, np.inf), ("dark", view.dark, -np.inf))
     )
+    if saturated <= 0:
+        raise ValueError(f"{label}.saturated: expected a number > 0, got {saturated:g}")
     if dark >= saturated:
         raise ValueError(f"{label}.dark: expected a number below `saturated`, {saturated:g}, got {dark:g}")
     target = np.broadcast_to(np.where(used[:, None], target, 0.0), (layout.points, 3))
