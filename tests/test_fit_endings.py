@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fit_scenes import key_light, material, precision, sphere_picture, sphere_samples, sphere_scene
-from jaxlight import Fit, View, fit
+from jaxlight import Fit, View, fit, nodes, shade
 from jaxlight.fit import fitting
 from jaxlight.fit.problem import make_problem
 
@@ -27,6 +27,23 @@ def start(dtype: Any) -> Any:
 def view_of(**changes: Any) -> View:
     picture = changes.pop("target", sphere_picture(SIZE))
     return View(sphere_samples(SIZE), picture, **changes)
+
+
+def test_fits_of_a_cone_to_noisy_pictures_end_where_no_step_leads_down() -> None:
+    """Its rim crosses samples: the optimum lies on a kink, from where steps change no more than the loss's rounding."""
+    lamp = nodes.SpotLight(
+        name="spot", location=(-2.0, 1.0, 4.0), direction=(2.0, -1.0, -4.0), beam_width=0.1, cut_off_angle=0.2
+    )
+    with precision("float32") as dtype:
+        scene, samples = sphere_scene(lamp, dtype=dtype), sphere_samples(48, dtype=dtype)
+        clean = np.asarray(shade(scene, samples))[:, :3]
+        for seed in (6, 9, 12, 23, 44, 56):
+            noisy = clean + np.random.default_rng(seed).normal(0, 0.01, clean.shape)
+            free = [f"SpotLight[spot].{name}" for name in ("location", "cut_off_angle", "beam_width")]
+            result = fit(scene, View(samples, noisy, noise=0.01), free)
+            assert result.converged and len(result.history) < 40, result.message
+            off = np.abs(result.values - result.start) / result.uncertainty.standard_error
+            assert np.all(off < 4), off
 
 
 @pytest.mark.parametrize(("names", "said"), [(("a", "a"), "views[1].name: 'a'"), (("1", ""), "views[0].name: '1'")])

@@ -77,7 +77,7 @@ class Fit:
 
     @property
     def accepted_steps(self) -> int:
-        """Steps that lowered the loss; the evaluation of a start is none."""
+        """Steps that lowered the loss, within its rounding; the evaluation of a start is none."""
         return self.state.accepted
 
     def value(self, path: str) -> np.ndarray:

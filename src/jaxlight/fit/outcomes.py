@@ -39,14 +39,14 @@ def message_of(outcome: Outcome, state: FitState, history: Sequence[Step], rms: 
         return "Interrupted before the start values were evaluated; they are unchanged."
     if outcome == "converged" and bool(state.solver.at_kink):
         return (
-            f"Converged in {trials} to a kink of the equation (samples where a light sets), within a tenth of a "
-            f"standard error of the optimum; {left}."
+            f"Converged in {trials} to a kink of the equation (samples where a light sets or its cone ends), "
+            f"within a quarter of a standard error of the optimum; {left}."
         )
     return {
         "converged": f"Converged in {trials}; {left}.",
         "max_steps": f"Not converged: stopped after {trials}, the most that were allowed; {left}.",
         "stalled": f"Not converged: after {trials} no step lowers the residual any more, although its slope says one "
-        f"should; {left}. The start may lie at a jump of the equation (a light's radius or cone).",
+        f"should; {left}. They may lie at a jump or kink of the equation (a light's radius or cone).",
         "unseen": f"Not converged: after {trials} no picture changes with any free number, near the "
         f"{'start' if state.accepted == 0 else 'end'}; {left}.",
         "nonfinite": "Failed: the loss or its derivative is not finite at the start values.",

@@ -51,7 +51,7 @@ class FitState(eqx.Module):
 
     @property
     def accepted(self) -> int:
-        """Steps that lowered the loss; the evaluation of a start is none."""
+        """Steps that lowered the loss, within its rounding; the evaluation of a start is none."""
         return int(np.asarray(self.earlier)[0]) + int(self.solver.num_accepted_steps)
 
     @property

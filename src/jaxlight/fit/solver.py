@@ -26,7 +26,7 @@ from .strides import Strides
 
 MAX_DAMPING = 1e8
 KINK_DAMPING = 1e3
-KINK_OFFSET = 0.1
+KINK_OFFSET = 0.25
 
 
 class SolverState(eqx.Module):
@@ -46,7 +46,7 @@ class SolverState(eqx.Module):
     num_steps: Int[Array, ""]
     num_accepted_steps: Int[Array, ""]
     at_kink: Bool[Array, ""]
-    """Ended where the slope jumps across the optimum, closer to it than a tenth of a standard error."""
+    """Ended where the slope jumps across the optimum, closer to it than a quarter of a standard error."""
     terminate: Bool[Array, ""]
     result: Any
     """An `optimistix.RESULTS`."""
@@ -69,9 +69,9 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     loss by less than the precision can show. The first test does not depend on the damping, so that a solver that
     crawls is not taken for one that has arrived. A sum of residuals that are not 0 often has its optimum on a kink (a
     sample on the line where N . L = 0), where no slope vanishes: there the solver is done when even the shortest steps
-    lead upwards and the whole step left is a small part of the standard error that `freedom` (residuals less
-    parameters) implies. And at a loss of `floor` or less, which is all rounding, it is done as soon as the loss stops
-    falling.
+    lead upwards, or one changes no more than the rounding of the loss, and the whole step left is a small part of the
+    standard error that `freedom` (residuals less parameters) implies. And at a loss of `floor` or less, which is all
+    rounding, it is done as soon as the loss stops falling.
 
     Takes the `options` `normal_equations(y, args) -> (loss, gradient, curvature)` and `settled(y, args) -> (y, loss)`,
     which may move the numbers in which the residuals are linear to their best. Each trial is settled before it is
@@ -154,10 +154,13 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         y, loss, descent_state, achievable, step_norm = jax.lax.cond(accept, accepted, rejected, None)
         eps = jnp.finfo(y.dtype).eps
         # Below the rounding of the loss, and no longer falling: nothing more to be had in this precision.
-        exhausted = (achievable <= 4 * eps * loss) & (achievable > state.achievable / 4) & ~state.first_step
+        lasting = (achievable > state.achievable / 4) & ~state.first_step
+        exhausted = (achievable <= 4 * eps * loss) & lasting
         converged = (step_norm < 1) | (achievable <= 4 * eps**2 * loss) | exhausted
         offset_squared = achievable * self.freedom / (y.shape[0] * jnp.maximum(loss, jnp.finfo(y.dtype).tiny))
-        at_kink = ~accept & (step_size < 1 / KINK_DAMPING) & (offset_squared < KINK_OFFSET**2) & ~converged
+        idle = accept & lasting & (state.loss - loss <= 4 * eps * loss)
+        no_way_down = idle | (~accept & (step_size < 1 / KINK_DAMPING))
+        at_kink = no_way_down & (offset_squared < KINK_OFFSET**2) & ~converged
         finite = jnp.isfinite(loss) & descent_state.all_finite()
         falls = accept & (loss < state.loss / 4)
         only_rounding = ~falls & ~state.first_step & (loss <= self.floor)
