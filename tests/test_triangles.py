@@ -247,7 +247,10 @@ def test_faces_without_area_are_dropped() -> None:
             nodes.IndexedFaceSet(coord=SQUARE, coord_index=[0, 1, 4]),
             r"Shape\[wall\].geometry.coord_index: index 4 does not exist, coord.point has 4 values",
         ),
-        (nodes.IndexedFaceSet(coord_index=[0, 1, 2]), "index 0 does not exist, coord.point is empty"),
+        (
+            nodes.IndexedFaceSet(coord=nodes.Coordinate(), coord_index=[0, 1, 2]),
+            "index 0 does not exist, coord.point is empty",
+        ),
         (
             nodes.IndexedFaceSet(coord=SQUARE, coord_index=TWO_FACES, color=COLORS, color_index=[0, 1, 2]),
             "color_index: expected an index for every one in coord_index, got 3",

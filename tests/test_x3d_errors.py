@@ -50,7 +50,10 @@ ERRORS = [
         "</IndexedTriangleSet></Shape>",
         "index 2, but color has 2 entries",
     ),
-    ("<Shape><IndexedFaceSet coordIndex='0 1 2 -1'/></Shape>", "index 2, but coord has 0 entries"),
+    (
+        "<Shape><IndexedFaceSet coordIndex='0 1 2 -1'><Coordinate/></IndexedFaceSet></Shape>",
+        "index 2, but coord has 0 entries",
+    ),
     ("<Shape><Appearance><PixelTexture image='1 1 3'/></Appearance></Shape>", "1 x 1 pixels announced, 0 given"),
     ("<Group visible='maybe'/>", "Group.visible: expected true or false"),
 ]

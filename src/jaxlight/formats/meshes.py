@@ -179,7 +179,7 @@ class _MeshBuilder:
         if id(image) not in self._pixels:
             url = _url_of(image)
             try:
-                pixels = self._textures.first([url])[0] if url else self._textures.opened(image, self._path)
+                pixels = self._textures.first([url]).pixels if url else self._textures.opened(image, self._path)
             except Exception as error:  # Pillow says in many ways that an image is damaged
                 self._notes.missing.append(_sentence(error))
                 pixels = None

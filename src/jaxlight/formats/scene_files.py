@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..scene.nodes import Group, Node, Switch, Transform
+from ..scene.nodes import Node
 from .encodings import detect_format
 from .errors import SceneFileError
 from .limits import read_bounded
@@ -77,14 +76,17 @@ def load(path: str | Path, *, dtype: Any = None) -> Scene:
 def _placed(children: tuple[Node, ...]) -> int:
     """How many nodes the scene places: those that stand in groups, each as often as it is used."""
 
-    @functools.cache
-    def count(node: Node) -> int:
-        if isinstance(node, Switch):
-            chosen = node.which_choice
-            return 1 + (count(node.children[chosen]) if 0 <= chosen < len(node.children) else 0)
-        return 1 + sum(map(count, node.children)) if isinstance(node, (Group, Transform)) else 1
+    from ..scene.flatten import shown_below
 
-    return sum(map(count, children))
+    counts: dict[Node, int] = {}
+    waiting = list(children)
+    while waiting:
+        below = shown_below(waiting[-1])
+        unknown = [node for node in below if node not in counts]
+        waiting.extend(unknown)
+        if not unknown:
+            counts[waiting.pop()] = 1 + sum(counts[node] for node in below)
+    return sum(counts[node] for node in children)
 
 
 def _read(path: Path) -> ReadScene:

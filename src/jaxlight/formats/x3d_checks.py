@@ -8,11 +8,13 @@ from ..scene import nodes
 
 
 def check_indices(geometry: nodes.Node) -> None:
-    """Check a geometry node; nodes of other kinds pass.
+    """Check a geometry node; nodes of other kinds pass, and so do those without coordinates, which draw nothing.
 
     Raises:
         ValueError: an index beyond the end of its list, or a list that is too short; says which field and numbers.
     """
+    if getattr(geometry, "coord", None) is None:
+        return
     if isinstance(geometry, nodes.IndexedFaceSet):
         _check_face_set(geometry)
     elif isinstance(geometry, nodes.IndexedTriangleSet):
@@ -40,9 +42,6 @@ def _check_triangles(
 def _check_face_set(geometry: nodes.IndexedFaceSet) -> None:
     """Each list of vertex data has an index of its own; without one the coordinates' is used, or one a face."""
     corners = geometry.coord_index
-    if geometry.coord is None:
-        _check_within(geometry, "coord_index", corners, 0, "coord")
-        return
     ends = corners == -1
     open_end = int(len(corners) > 0 and not ends[-1])
     faces = int(np.count_nonzero(ends)) + open_end

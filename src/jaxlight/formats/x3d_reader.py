@@ -57,7 +57,9 @@ def read_x3d(path: Path, data: bytes) -> tuple[tuple[nodes.Node, ...], ReadNotes
     scene = next((child for child in root.children if child.tag == "Scene"), None)
     if scene is None:
         raise SceneFileError(path, root.line, "<X3D> holds no <Scene>")
-    reader = _Reader(path, _version(root.attributes.get("version", "")), _angle_unit(path, root))
+    reader = _Reader(path, _version(root.attributes.get("version", "")), _unit(path, root, "angle"))
+    if _unit(path, root, "length") != 1.0:
+        reader.notes.unused["unit of length (numbers stay as they are)"] += 1
     children = reader.read_all(scene)
     place = path.parent.resolve() / path.name  # a link stays one: what the scene names lies beside the link
     source = X3DSource(place, data, reader.element_numbers, reader.texture_files, reader.angle_unit)
@@ -70,11 +72,11 @@ def _version(text: str) -> tuple[int, int]:
     return (int(match[1]), int(match[2])) if match else (0, 0)
 
 
-def _angle_unit(path: Path, root: Element) -> float:
-    """Radians in one angle unit of the file: 1, unless a `unit` statement says otherwise (X3D 4.3.6)."""
+def _unit(path: Path, root: Element, category: str) -> float:
+    """Radians or metres in one unit of the file: 1, unless a `unit` statement says otherwise (X3D 4.3.6)."""
     factor = 1.0
     for unit in (unit for head in root.children if head.tag == "head" for unit in head.children):
-        if unit.tag == "unit" and unit.attributes.get("category") == "angle":
+        if unit.tag == "unit" and unit.attributes.get("category") == category:
             text = unit.attributes.get("conversionFactor", "")
             try:
                 (factor,) = parse_floats(text).tolist()
@@ -100,6 +102,8 @@ class _Reader:
         """By DEF name; None: a node that was skipped."""
         self._set_aside: dict[str, Element] = {}
         """Elements with a DEF inside skipped ones; read when a USE asks for them."""
+        self._read_early: dict[Element, nodes.Node | None] = {}
+        """What became of those; their parents may be read later."""
         self._depths: dict[nodes.Node, int] = {}
         self._detours = 0
 
@@ -118,6 +122,8 @@ class _Reader:
             if children_are_made:
                 made = [(child, results.pop(child)) for child in split_children(element)[0]]
                 results[element] = self._make(element, made)
+            elif element in self._read_early:
+                results[element] = self._read_early[element]
             elif not _is_known(element):
                 self.notes.skipped[element.tag] += 1
                 self._put_aside(element)
@@ -133,10 +139,12 @@ class _Reader:
         return results[top]
 
     def _put_aside(self, top: Element) -> None:
-        """Remember the DEFs of a subtree that is not read."""
+        """Remember the DEFs of a subtree that is not read; those of a prototype are its own (X3D 4.4.7.3)."""
         stack = [top]
         while stack:
             element = stack.pop()
+            if element.tag == "ProtoDeclare":
+                continue
             if name := element.attributes.get("DEF"):
                 self._set_aside[name] = element
                 self._defined.pop(name, None)
@@ -152,6 +160,7 @@ class _Reader:
             self._detours += 1
             original = self._set_aside.pop(name)
             self._defined[name] = self._read(original) if _is_known(original) else None
+            self._read_early[original] = self._defined[name]
             self._detours -= 1
         if name not in self._defined:
             raise self._error(element, f"USE='{shown}': no node before this one has DEF='{shown}'")
@@ -180,6 +189,8 @@ class _Reader:
             raise
         except ValueError as error:
             raise self._error(element, str(error)) from None
+        if isinstance(node, nodes.Transform) and 0.0 in node.scale:
+            self.notes.simplified["Transform with a scale of 0 (shows nothing)"] += 1
         self.element_numbers[node] = element.number
         if texture_file is not None:
             self.texture_files[node] = texture_file
@@ -188,7 +199,9 @@ class _Reader:
 
     def _define(self, element: Element, node: nodes.Node, name: str) -> nodes.Node:
         """Register the DEF; a node with visible='false' (X3D 4) becomes the choice that a Switch does not make."""
-        if isinstance(node, (*_GROUPS, nodes.Shape)) and "visible" in element.attributes:
+        if element.tag == "CADLayer" and len(element.attributes.get("visible", "").split()) > 1:
+            self.notes.unused["CADLayer.visible (of its children one by one)"] += 1
+        elif isinstance(node, (*_GROUPS, nodes.Shape)) and "visible" in element.attributes:
             try:
                 visible = SFBool.parse(element.attributes["visible"])
             except ValueError as error:
@@ -262,10 +275,13 @@ class _Reader:
 
     def _image(self, element: Element, urls: tuple[str, ...]) -> tuple[Any, Path | None]:
         try:
-            return self._textures.first(urls)
+            found = self._textures.first(urls)
         except ValueError as error:
             self.notes.missing.append(f"{error} (line {element.line})")
             return None, None
+        if found.was_clamped:
+            self.notes.clamped.append(f"{element.tag}.image (line {element.line})")
+        return found.pixels, found.file
 
     def _note_depth(self, element: Element, node: nodes.Node, children: list[nodes.Node | None]) -> None:
         depth = 1 + max((self._depths.get(child, 0) for child in children if child is not None), default=0)

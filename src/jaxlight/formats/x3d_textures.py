@@ -7,6 +7,7 @@ import binascii
 import urllib.parse
 from collections.abc import Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -15,6 +16,20 @@ from .folder import ResourceFolder
 from .images import decode_image, pixels_of, read_image
 from .limits import MAX_PIXELS
 
+_MOST_URLS = 100
+"""Of the alternatives of one texture so many are looked for."""
+
+
+class TextureImage(NamedTuple):
+    """A texture that could be had."""
+
+    pixels: np.ndarray
+    """[height, width, components], row 0 at the bottom, in [0, 1]."""
+    was_clamped: bool
+    """True if there were numbers outside."""
+    file: Path | None
+    """Where it came from; None: it stood in the url."""
+
 
 class TextureReader:
     """Reads the images of a scene; row 0 of an image is its bottom row."""
@@ -22,16 +37,18 @@ class TextureReader:
     def __init__(self, folder: ResourceFolder) -> None:
         self.folder = folder
         self._pixels_left = MAX_PIXELS
-        self._read: dict[Path | str, np.ndarray] = {}
+        self._read: dict[Path | str, TextureImage] = {}
 
-    def first(self, urls: Iterable[str]) -> tuple[np.ndarray, Path | None]:
-        """The first of the alternatives that can be had, and the file that it came from.
+    def first(self, urls: Iterable[str]) -> TextureImage:
+        """The first of the alternatives that can be had.
 
         Raises:
             ValueError: none of them can; says why.
         """
-        reasons = []
-        for url in urls:
+        reasons, distinct = [], list(dict.fromkeys(urls))
+        if len(distinct) > _MOST_URLS:
+            reasons.append(f"only the first {_MOST_URLS} of {len(distinct)} urls are looked for")
+        for url in distinct[:_MOST_URLS]:
             try:
                 return self._image(url)
             except (ValueError, ImportError) as error:
@@ -53,15 +70,19 @@ class TextureReader:
         if self._pixels_left < 0:
             raise ValueError(f"the scene's textures have more than {MAX_PIXELS} pixels together")
 
-    def _image(self, url: str) -> tuple[np.ndarray, Path | None]:
+    def _image(self, url: str) -> TextureImage:
         key = url if url.startswith("data:") else self.folder.find(url)
         if key not in self._read:
             self._take(0)
             image = np.flipud(_decode_data_url(key) if isinstance(key, str) else read_image(key))
             self._take(image.shape[0] * image.shape[1])
-            image.setflags(write=False)
-            self._read[key] = image
-        return self._read[key], key if isinstance(key, Path) else None
+            if not np.all(np.isfinite(image)):
+                raise ValueError(f"{url[:60]!r} holds numbers that are not finite")
+            was_clamped = bool(image.min() < 0 or image.max() > 1)
+            pixels = np.clip(image, 0, 1) if was_clamped else image
+            pixels.setflags(write=False)
+            self._read[key] = TextureImage(pixels, was_clamped, key if isinstance(key, Path) else None)
+        return self._read[key]
 
 
 def _decode_data_url(url: str) -> np.ndarray:

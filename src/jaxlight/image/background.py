@@ -15,33 +15,34 @@ from ..scene import Scene
 def sky(scene: Scene, samples: SampleBuffer) -> Float[Array, "3"] | Float[Array, "height width 3"]:
     """The sky behind a picture (X3D 24.4.1): one colour, or colours that change with the angle from the zenith.
 
-    The first colour stands at the zenith (+y), each further one at its `sky_angle`, the last from there to the nadir;
-    between them colours are interpolated by angle. A buffer that does not know its rays shows the zenith's colour, a
-    scene without Background black.
+    The first colour stands at the zenith (+y, turned as the transforms above the node turn it), each further one at
+    its `sky_angle`, the last from there to the nadir; between them colours are interpolated by angle. A buffer that
+    does not know its rays shows the zenith's colour, a scene without Background black.
 
     Returns:
         [3], or [height, width, 3] where the colour depends on the pixel.
     """
     dtype = compute_dtype(samples)
-    node = scene.document.background if scene.document is not None else None
-    if node is None or len(node.sky_color) == 0:
+    placed = scene.document.background if scene.document is not None else None
+    if placed is None or len(placed.node.sky_color) == 0:
         return jnp.zeros(3, dtype)
+    node, zenith = placed.node, placed.to_world[:, 1] / np.linalg.norm(placed.to_world[:, 1])
     stops = min(len(node.sky_angle) + 1, len(node.sky_color))
     if stops == 1 or samples.pixel_to_world is None or samples.width is None or samples.height is None:
         return jnp.asarray(node.sky_color[0], dtype)
     angles = np.maximum.accumulate(np.array([0.0, *node.sky_angle[: stops - 1]]))
     colors = np.asarray(node.sky_color[:stops])
-    return _by_angle(samples, jnp.asarray(angles, dtype), jnp.asarray(colors, dtype))
+    return _by_angle(samples, *(jnp.asarray(numbers, dtype) for numbers in (zenith, angles, colors)))
 
 
 @quick_jit
 def _by_angle(
-    samples: SampleBuffer, angles: Float[Array, " stops"], colors: Float[Array, "stops 3"]
+    samples: SampleBuffer, zenith: Float[Array, "3"], angles: Float[Array, " stops"], colors: Float[Array, "stops 3"]
 ) -> Float[Array, "height width 3"]:
     """The colours between stops at so many radians from the zenith, along the rays of the pixels' centres."""
     assert samples.pixel_to_world is not None and samples.width is not None and samples.height is not None
     dtype = colors.dtype
     u, v = jnp.arange(samples.width, dtype=dtype) + 0.5, jnp.arange(samples.height, dtype=dtype)[:, None] + 0.5
-    x, y, z = (row[0] * u + row[1] * v + row[2] for row in samples.pixel_to_world)
-    from_zenith = jnp.arctan2(jnp.hypot(x, z), y)
+    ray = jnp.stack([row[0] * u + row[1] * v + row[2] for row in samples.pixel_to_world], axis=-1)
+    from_zenith = jnp.arctan2(jnp.linalg.norm(jnp.cross(ray, zenith), axis=-1), ray @ zenith)
     return jnp.stack([jnp.interp(from_zenith, angles, colors[:, i]) for i in range(3)], axis=-1)

@@ -18,7 +18,9 @@ def indexed_face_set(node: nodes.IndexedFaceSet, where: str) -> Triangles:
     Raises:
         ValueError: an index, or a number of indices, that does not fit; says which field of which shape (`where`).
     """
-    points = _points(node.coord)
+    if node.coord is None:
+        return Triangles.none()
+    points = node.coord.point
     faces = Faces.read(node.coord_index)
     vertex = node.coord_index[faces.slot]
     _check(vertex, len(points), f"{where}.coord_index", "coord.point")
@@ -55,7 +57,9 @@ def triangle_set(node: nodes.IndexedTriangleSet | nodes.TriangleSet, where: str)
     Raises:
         ValueError: an index that does not fit, or too few colours, normals or texture coordinates.
     """
-    points = _points(node.coord)
+    if node.coord is None:
+        return Triangles.none()
+    points = node.coord.point
     if isinstance(node, nodes.IndexedTriangleSet):
         field = f"{where}.index"
         if np.any(node.index < 0):
@@ -98,10 +102,6 @@ def bounding_box_mapping(points: np.ndarray) -> np.ndarray:
     size = points.max(axis=0) - low
     s, t = np.argsort(-size, kind="stable")[:2]
     return (points[:, [s, t]] - low[[s, t]]) / (size[s] or 1.0)
-
-
-def _points(coord: nodes.Coordinate | None) -> np.ndarray:
-    return np.zeros((0, 3)) if coord is None else coord.point
 
 
 def _attribute_index(node: nodes.IndexedFaceSet, faces: Faces, field: str, per_vertex: bool, where: str) -> np.ndarray:

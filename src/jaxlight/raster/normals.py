@@ -6,6 +6,9 @@ import numpy as np
 
 from ..scene.polygons import Faces, face_normals
 
+_MOST_FACES = 32
+"""Of the faces that share an edge so many are compared with each: surfaces have two, and few have a fin."""
+
 
 def crease_normals(faces: Faces, vertex: np.ndarray, points: np.ndarray, crease_angle: float) -> np.ndarray:
     """Normals [C, 3] at the corners: smooth across an edge where the two faces' normals differ by less than the angle.
@@ -48,10 +51,10 @@ def _smooth_groups(faces: Faces, vertex: np.ndarray, unit: np.ndarray, crease_an
     corner = np.arange(len(vertex))
     low, high = np.minimum(vertex, vertex[faces.following]), np.maximum(vertex, vertex[faces.following])
     order = np.lexsort((corner, high, low))
-    # Corners whose outgoing edges are the same edge stand side by side: each is compared with its successor.
-    a, b = order[:-1], order[1:]
-    shared = (low[a] == low[b]) & (high[a] == high[b]) & (low[a] != high[a])
-    a, b = a[shared], b[shared]
+    a, b = _pairs_of_equals(low[order], high[order])
+    a, b = order[a], order[b]
+    differ = low[a] != high[a]
+    a, b = a[differ], b[differ]
     ua, ub = unit[faces.face[a]], unit[faces.face[b]]
     angle = np.arctan2(np.linalg.norm(np.cross(ua, ub), axis=1), np.einsum("ij,ij->i", ua, ub))
     smooth = angle < crease_angle
@@ -67,6 +70,18 @@ def _smooth_groups(faces: Faces, vertex: np.ndarray, unit: np.ndarray, crease_an
         axis=1,
     )
     return _components(len(vertex), pairs)
+
+
+def _pairs_of_equals(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All pairs of places with equal numbers, which stand side by side; at most _MOST_FACES places apart."""
+    first, second = [], []
+    for apart in range(1, min(len(low), _MOST_FACES + 1)):
+        equal = np.flatnonzero((low[apart:] == low[:-apart]) & (high[apart:] == high[:-apart]))
+        if len(equal) == 0:
+            break
+        first.append(equal)
+        second.append(equal + apart)
+    return np.concatenate([np.zeros(0, int), *first]), np.concatenate([np.zeros(0, int), *second])
 
 
 def _components(count: int, pairs: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ def geometry_of(shape: nodes.Shape) -> Triangles | Primitive:
     """The triangles or faces of a shape in its own coordinates.
 
     Triangles are counterclockwise in front, whatever `ccw` says, and their texture coordinates are transformed as the
-    appearance says; those without area are left out. A shape without geometry gives no triangles.
+    appearance says; those without area are left out. A shape without geometry or coordinates gives no triangles.
 
     Raises:
         ValueError: an index or a number of values that does not fit, or coordinates beyond FARTHEST; names the shape
@@ -43,8 +43,7 @@ def _geometry_of(shape: nodes.Shape) -> Triangles | Primitive:
     where = f"{shape.label}.geometry"
     match geometry:
         case None:
-            empty = np.zeros((0, 3, 3))
-            return Triangles(empty, empty, empty[..., :2])
+            return Triangles.none()
         case nodes.Sphere():
             return primitives.sphere(geometry)
         case nodes.Cylinder():

@@ -20,6 +20,12 @@ class Triangles:
     color: np.ndarray | None = None
     """[T, 3 corners, 3 or 4], or None."""
 
+    @classmethod
+    def none(cls) -> Triangles:
+        """Of what draws nothing."""
+        empty = np.zeros((0, 3, 3))
+        return cls(empty, empty, empty[..., :2])
+
     def __len__(self) -> int:
         return len(self.position)
 

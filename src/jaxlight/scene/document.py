@@ -28,13 +28,21 @@ class PlacedViewpoint:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class PlacedBackground:
+    """A Background and the matrix [3, 4] that maps its coordinates to the world."""
+
+    node: nodes.Background
+    to_world: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Document:
     """What a Scene was made from. Rows of the scene's arrays point back to their nodes here."""
 
     children: tuple[nodes.Node, ...]
     shapes: tuple[PlacedShape, ...]
     viewpoints: tuple[PlacedViewpoint, ...]
-    background: nodes.Background | None
+    background: PlacedBackground | None
     materials: tuple[nodes.Material, ...]
     """The node behind each row of Scene.materials; likewise below."""
     directional: tuple[nodes.DirectionalLight, ...]

@@ -16,7 +16,8 @@ import numpy as np
 
 def _refuse(where: str, value: Any, allowed: str) -> ValueError:
     shown = np.array2string(value, threshold=6) if isinstance(value, np.ndarray) else repr(value)
-    return ValueError(f"{where}: expected {allowed}, got {shown[:80]}")
+    in_one_line = " ".join(map(str.strip, shown.splitlines()))
+    return ValueError(f"{where}: expected {allowed}, got {in_one_line[:80]}")
 
 
 def _misshapen(where: str, array: np.ndarray, allowed: str) -> ValueError:
@@ -197,14 +198,6 @@ def vector3(
 def direction(where: str, value: Any) -> tuple[float, float, float]:
     """Three finite numbers; need not have length 1 (it is normalised where it is used)."""
     return vector3(where, value)
-
-
-def scale_vector(where: str, value: Any) -> tuple[float, float, float]:
-    """Three finite numbers, none zero."""
-    scale = vector3(where, value)
-    if 0.0 in scale:
-        raise _refuse(where, value, "3 finite numbers, none 0")
-    return scale
 
 
 def color(where: str, value: Any) -> tuple[float, float, float]:

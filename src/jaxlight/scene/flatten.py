@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arrays import array_of
 from . import nodes
-from .document import Document, PlacedShape, PlacedViewpoint
+from .document import Document, PlacedBackground, PlacedShape, PlacedViewpoint
 from .fields import float_type, largest_of
 from .flags import Flags
 from .scene import DirectionalLights, Fog, Materials, PointLights, Scene, SpotLights, Surface, Texture
@@ -32,25 +32,37 @@ class _Walk:
     lights: list[tuple[_Light, np.ndarray, int]] = dataclasses.field(default_factory=list)
     viewpoints: list[PlacedViewpoint] = dataclasses.field(default_factory=list)
     fogs: list[tuple[nodes.Fog, np.ndarray]] = dataclasses.field(default_factory=list)
-    backgrounds: list[nodes.Background] = dataclasses.field(default_factory=list)
+    backgrounds: list[PlacedBackground] = dataclasses.field(default_factory=list)
     navigation: list[nodes.NavigationInfo] = dataclasses.field(default_factory=list)
     groups: int = 0
     visited: int = 0
+    waiting: list[tuple[nodes.Node, np.ndarray, tuple[int, ...]]] = dataclasses.field(default_factory=list)
+    """What is to be visited, the next one last."""
 
-    def enter(self, children: Iterable[nodes.Node], to_world: np.ndarray, above: tuple[int, ...]) -> None:
-        """Visit the children of a new group instance."""
+    @classmethod
+    def through(cls, roots: Sequence[nodes.Node]) -> _Walk:
+        """All that stands below the roots of a scene, in the order in which it is written."""
+        walk = cls()
+        walk.enter(roots, IDENTITY, ())
+        while walk.waiting:
+            walk.visit(*walk.waiting.pop())
+        return walk
+
+    def enter(self, children: Sequence[nodes.Node], to_world: np.ndarray, above: tuple[int, ...]) -> None:
+        """The children of a new group instance are the next to be visited."""
         if len(above) >= MAX_DEPTH:
             raise ValueError(f"scene: groups nested deeper than {MAX_DEPTH}")
-        group = self.groups
+        inside = (*above, self.groups)
         self.groups += 1
-        for child in children:
-            self.visit(child, to_world, (*above, group))
+        self.waiting.extend((child, to_world, inside) for child in reversed(children))
 
     def visit(self, node: nodes.Node, to_world: np.ndarray, above: tuple[int, ...]) -> None:
         self.visited += 1
         if self.visited > MAX_PLACED:
             raise ValueError(f"scene: more than {MAX_PLACED} placed nodes (a node used again counts every time)")
         match node:
+            case nodes.Transform() if 0.0 in node.scale:
+                pass
             case nodes.Transform():
                 own = transform_matrix(node)
                 if not is_invertible(own):
@@ -60,11 +72,8 @@ class _Walk:
                 if not np.all(np.isfinite(placed)):
                     raise ValueError(f"{node.label}: with the transforms above it the numbers become too large")
                 self.enter(node.children, placed, above)
-            case nodes.Group():
-                self.enter(node.children, to_world, above)
-            case nodes.Switch():
-                if 0 <= node.which_choice < len(node.children):
-                    self.enter((node.children[node.which_choice],), to_world, above)
+            case nodes.Group() | nodes.Switch():
+                self.enter(shown_below(node), to_world, above)
             case nodes.Shape():
                 self.shapes.append((node, to_world, above))
             case nodes.DirectionalLight() | nodes.PointLight() | nodes.SpotLight():
@@ -74,11 +83,24 @@ class _Walk:
             case nodes.Fog():
                 self.fogs.append((node, to_world))
             case nodes.Background():
-                self.backgrounds.append(node)
+                self.backgrounds.append(PlacedBackground(node, to_world))
             case nodes.NavigationInfo():
                 self.navigation.append(node)
             case _:
                 raise ValueError(f"scene: a {type(node).__name__} cannot stand among the children of a group")
+
+
+def shown_below(node: nodes.Node) -> tuple[nodes.Node, ...]:
+    """The children that a grouping node shows; other nodes have none."""
+    match node:
+        case nodes.Transform():
+            return () if 0.0 in node.scale else node.children
+        case nodes.Group():
+            return node.children
+        case nodes.Switch():
+            return node.children[node.which_choice :][:1] if node.which_choice >= 0 else ()
+        case _:
+            return ()
 
 
 def scene_from_nodes(children: nodes.Node | Sequence[nodes.Node], *, dtype: Any = None) -> Scene:
@@ -86,9 +108,7 @@ def scene_from_nodes(children: nodes.Node | Sequence[nodes.Node], *, dtype: Any 
     if not isinstance(children, (nodes.Node, Iterable)):
         raise ValueError(f"Scene.from_nodes: expected a node or a list of nodes, got {type(children).__name__}")
     roots = (children,) if isinstance(children, nodes.Node) else tuple(children)
-    walk = _Walk()
-    walk.enter(roots, IDENTITY, ())
-
+    walk = _Walk.through(roots)
     materials = _distinct(shape.appearance.material for shape, _, _ in walk.shapes if shape.appearance)
     textures = _distinct(_texture(shape) for shape, _, _ in walk.shapes)
     lights = list(walk.lights)

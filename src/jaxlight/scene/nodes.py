@@ -24,7 +24,6 @@ from .fields import (
     non_negative,
     number,
     positive,
-    scale_vector,
     spot_angle,
     string,
     strings,
@@ -113,14 +112,15 @@ class Group(Node):
 class Transform(Node):
     """Children in their own coordinate system (X3D 10.4.4): translate, centre, rotate, scale along `scale_orientation`.
 
-    `rotation` and `scale_orientation` are (x, y, z, angle in radians).
+    `rotation` and `scale_orientation` are (x, y, z, angle in radians). Where a number of `scale` is 0 nothing below is
+    shown, and no light there shines.
     """
 
     accepts = {"children": ("*",)}
     center: Vec3 = _field((0.0, 0.0, 0.0), vector3)
     children: tuple[Node, ...] = _nodes()
     rotation: Vec4 = _field((0.0, 0.0, 1.0, 0.0), axis_angle)
-    scale: Vec3 = _field((1.0, 1.0, 1.0), scale_vector)
+    scale: Vec3 = _field((1.0, 1.0, 1.0), vector3)
     scale_orientation: Vec4 = _field((0.0, 0.0, 1.0, 0.0), axis_angle)
     translation: Vec3 = _field((0.0, 0.0, 0.0), vector3)
     name: str = _field("", string)
