@@ -15,6 +15,9 @@ from jax.core import Tracer
 
 from ..raster.samples import MANY_LIGHTS, SampleBuffer
 from ..scene import DirectionalLights, PointLights, Scene, SpotLights
+from ..scene.checks import check_scene
+from ..scene.flags import Flags
+from ..scene.paths import select
 from ..scene.scene import FrameKind
 from .options import LightingOptions
 
@@ -48,9 +51,47 @@ class FogPlan(NamedTuple):
     identity_frame: bool
 
 
+class LightStructure(NamedTuple):
+    """What is static of the lights of one kind."""
+
+    frame: FrameKind
+    headlight: bool
+    on: Flags
+    in_scope: Flags
+
+
+class Structure(NamedTuple):
+    """What is static of a scene, and so the same for all numbers that it may be given."""
+
+    materials: int
+    directional: LightStructure | None
+    point: LightStructure | None
+    spot: LightStructure | None
+    fog: tuple[str, FrameKind] | None
+
+    @classmethod
+    def of(cls, scene: Scene) -> Structure:
+        """That of a scene."""
+
+        def of_lights(lights: DirectionalLights | PointLights | SpotLights | None) -> LightStructure | None:
+            if lights is None:
+                return None
+            return LightStructure(lights.frame, getattr(lights, "headlight", False), lights.on, lights.in_scope)
+
+        materials, fog = scene.materials, scene.fog
+        return cls(
+            materials=0 if materials is None else len(materials.names),
+            directional=of_lights(scene.directional),
+            point=of_lights(scene.point),
+            spot=of_lights(scene.spot),
+            fog=None if fog is None else (fog.fog_type, fog.frame),
+        )
+
+
 class Plan(NamedTuple):
     """What the compiled function computes; hashable, equal for scenes that need the same terms."""
 
+    made_for: Structure
     options: LightingOptions
     directional: LightPlan | None
     point: LightPlan | None
@@ -102,8 +143,9 @@ def _of_rows(plan: LightPlan | None, rows: tuple[int, ...], count: int) -> Light
 class _Known:
     """The values of leaves that are known and not free; None for the others."""
 
-    def __init__(self, free: Any) -> None:
-        self._free = {id(leaf) for leaf in free}
+    def __init__(self, free: set[int]) -> None:
+        self._free = free
+        """Their identities."""
 
     def __call__(self, leaf: Any) -> np.ndarray | None:
         return None if id(leaf) in self._free else self.at_present(leaf)
@@ -130,12 +172,19 @@ def make_plan(
         scene: its known numbers decide.
         samples: their bounds decide which lights reach nothing; None: unknown.
         options: readings of the specification.
-        free: leaves of `scene` (the array objects) that must keep their derivatives; True: all of them.
+        free: what must keep its derivatives and may change: paths or functions of the scene as `fit` takes them, or
+            leaves of `scene` (the arrays that it holds); True: all.
+
+    Raises:
+        ValueError: no scene that can be shaded, no buffer, or something that is not in the scene.
     """
+    check_scene(scene)
+    if not isinstance(samples, SampleBuffer | None):
+        raise ValueError(f"samples: expected a SampleBuffer or None, got {type(samples).__name__}")
     if not isinstance(options, LightingOptions | None):
         raise ValueError(f"options: expected LightingOptions, got {type(options).__name__}")
     options = options or LightingOptions()
-    known = _Known(jax.tree.leaves(scene) if free is True else free)
+    known = _Known(_identities(scene, free))
     bounds = None if samples is None else _bounds(known, samples)
     materials = scene.materials
     lit = materials is not None
@@ -155,6 +204,7 @@ def make_plan(
         if visibility is None or visibility > 0:
             fog = FogPlan(scene.fog.fog_type, scene.fog.frame == "identity")
     return Plan(
+        made_for=Structure.of(scene),
         options=options,
         directional=light_plan(scene.directional),
         point=light_plan(scene.point) if local else None,
@@ -163,6 +213,26 @@ def make_plan(
         specular=specular,
         emissive=emissive,
     )
+
+
+def _identities(scene: Scene, free: Any) -> set[int]:
+    """Of the leaves that are free."""
+    present = set(map(id, jax.tree.leaves(scene)))
+    if free is True:
+        return present
+    found: set[int] = set()
+    for one in jax.tree.leaves(free):
+        if isinstance(one, str) or callable(one):
+            found |= {id(selection.leaf.get(scene)) for selection in select(scene, one)}
+        elif id(one) in present:
+            found.add(id(one))
+        else:
+            shown = f"an array of shape {list(one.shape)}" if hasattr(one, "shape") else repr(one)[:60]
+            raise ValueError(
+                "free: expected True, paths such as 'Material[0].diffuse_color', or leaves that the scene holds, "
+                f"got {shown} that is none of them"
+            )
+    return found
 
 
 def _light_plan(

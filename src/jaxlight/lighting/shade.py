@@ -21,7 +21,7 @@ from .cores import in_threads, shares_of
 from .in_shard_map import axes_of, unaware, varying
 from .mapped import mapped_axis_first
 from .options import LightingOptions
-from .plan import Plan, make_plan
+from .plan import Plan, Structure, make_plan
 from .prepared import compute_dtype, prepare
 from .tiles import (
     Share,
@@ -43,13 +43,15 @@ def shade(
         scene: materials, lights, fog and textures.
         samples: N visible surface points.
         options: readings of the specification.
-        plan: what to compute, from `make_plan`; default: decided here from the numbers that are known.
+        plan: what to compute, from `make_plan`; default: decided here from the numbers that are known. It is right for
+            this scene with other numbers in place of those that were free when it was made.
 
     Returns:
         [N, 4]: red, green, blue as the equation gives them (not clamped, no transfer function), and alpha.
 
     Raises:
-        ValueError: leaves of the scene that are not floating-point arrays of their shape; samples that name a surface
+        ValueError: leaves of the scene that are not floating-point arrays of their shape, or hold NaN where that is
+            known; a plan that was made for another scene; samples that name a surface
             the scene lacks, or lack a colour or texels that it asks for.
     """
     return _shade(_in_sample_order, scene, samples, options, plan)
@@ -126,6 +128,10 @@ def checked(
         raise ValueError(f"plan: expected a Plan, got {type(plan).__name__}")
     elif options is not None:
         raise ValueError("options: a plan has options of its own; give one of the two")
+    elif plan.made_for != Structure.of(scene):
+        pairs = zip(plan.made_for._fields, plan.made_for, Structure.of(scene), strict=True)
+        differs = " and ".join(name for name, its, own in pairs if its != own)
+        raise ValueError(f"plan: made for a scene with other {differs} (numbers may differ, what is static may not)")
     return dataclasses.replace(scene, document=None), plan
 
 

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from ..arrays import array_of
@@ -251,7 +252,8 @@ class SampleBuffer(eqx.Module):
             color: [N, components], as many components as the buffer has.
 
         Raises:
-            ValueError: another shape, or colours for a buffer without them.
+            ValueError: another shape, a number that is not finite (where that is known), or colours for a buffer
+                without them.
         """
         rows = {"position": position, "normal": normal, "color": color}
         changed: dict[str, Any] = {}
@@ -270,6 +272,8 @@ class SampleBuffer(eqx.Module):
                 raise ValueError(f"SampleBuffer: {name}: expected real numbers, got {own!r:.60}") from None
             if given.shape != expected:
                 raise ValueError(f"SampleBuffer: {name}: expected shape {list(expected)}, got {list(given.shape)}")
+            if not isinstance(given, Tracer):
+                _check_finite(name, np.asarray(given))
             changed[f"{name}_planes"] = self._with_rows_in(planes, given)
         if position is not None:
             places = lax.stop_gradient(jnp.moveaxis(changed["position_planes"], 1, 0))
@@ -445,10 +449,14 @@ def _array(what: str, value: Any) -> np.ndarray:
         array = array if array.dtype == np.float32 else array.astype(np.float64)
     except (TypeError, ValueError):
         raise ValueError(f"SampleBuffer: {what}: expected real numbers, got {value!r:.60}") from None
+    _check_finite(what, array)
+    return array
+
+
+def _check_finite(what: str, array: np.ndarray) -> None:
     if not np.all(np.isfinite(array)):
         bad = np.argwhere(~np.isfinite(array))[0].tolist()
         raise ValueError(f"SampleBuffer: {what}: every number must be finite; {what}{bad} is {array[tuple(bad)]}")
-    return array
 
 
 def _indices(

@@ -14,9 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from .paths import ATTRIBUTES
-from .scene import Scene
+from .flags import Flags
+from .paths import ATTRIBUTES, LIGHT_KINDS
+from .scene import DirectionalLights, Fog, Materials, PointLights, Scene, SpotLights, Surface, Texture
 
+_CLASSES = {
+    "materials": Materials, "directional": DirectionalLights, "point": PointLights, "spot": SpotLights, "fog": Fog,
+}  # fmt: skip
 _ROWS = ("materials", "lights")
 """Dimensions that count nodes; other names stand for any size."""
 _checked: WeakValueDictionary[int, Scene] = WeakValueDictionary()
@@ -35,12 +39,23 @@ def check_scene(scene: Scene) -> None:
         return
     for kind, attribute in ATTRIBUTES.items():
         owner = getattr(scene, attribute)
-        if isinstance(owner, tuple):
+        if attribute == "textures":
+            if not isinstance(owner, tuple) or not all(isinstance(one, Texture) for one in owner):
+                raise ValueError(f"scene: textures: expected a tuple of Texture, got {owner!r:.60}")
             for row, one in enumerate(owner):
                 _check_leaves(f"{kind}[{row}]", one)
         elif owner is not None:
+            if not isinstance(owner, _CLASSES[attribute]):
+                wanted = _CLASSES[attribute].__name__
+                raise ValueError(f"scene: {attribute}: expected {wanted} or None, got {type(owner).__name__}")
             _check_leaves(kind, owner)
             _check_frame(kind, owner)
+            if kind in LIGHT_KINDS:
+                _check_flags(kind, owner, len(scene.surfaces))
+            _check_numbers(kind, owner)
+    if scene.fog is not None and scene.fog.fog_type not in ("LINEAR", "EXPONENTIAL"):
+        raise ValueError(f"Fog.fog_type: expected 'LINEAR' or 'EXPONENTIAL', got {scene.fog.fog_type!r:.60}")
+    _check_surfaces(scene.surfaces, 0 if scene.materials is None else len(scene.materials.names), len(scene.textures))
     _checked[id(scene)] = scene
 
 
@@ -76,6 +91,45 @@ def _check_leaves(name: str, owner: Any) -> None:
         if not _is_float(getattr(leaf, "dtype", None)) or not _is_of_shape(leaf.shape, expected):
             wanted = ", ".join(map(str, expected))
             raise ValueError(f"{name}.{field}: expected floating-point numbers of shape [{wanted}], got {_told(leaf)}")
+
+
+def _check_numbers(name: str, owner: Any) -> None:
+    """No number that is known is NaN, but of lights that are off, which nobody reads."""
+    on = owner.on.array if hasattr(owner, "on") else None
+    for field in _dimensions(type(owner)):
+        leaf = getattr(owner, field)
+        if isinstance(leaf, Tracer):
+            continue
+        bad = np.isnan(np.asarray(leaf))
+        bad = bad if on is None else bad[on]
+        if np.any(bad):
+            raise ValueError(f"{name}.{field}: expected numbers, got {np.count_nonzero(bad)} that are NaN")
+
+
+def _check_flags(name: str, owner: Any, surfaces: int) -> None:
+    """`on` and `in_scope` of lights."""
+    count = len(owner.names)
+    for field, shape in (("on", (count,)), ("in_scope", (surfaces, count))):
+        flags = getattr(owner, field)
+        if not isinstance(flags, Flags) or flags.array.shape != shape:
+            told = f"shape {list(flags.array.shape)}" if isinstance(flags, Flags) else f"a {type(flags).__name__}"
+            raise ValueError(f"{name}.{field}: expected Flags of shape {list(shape)}, got {told}")
+
+
+@functools.lru_cache(maxsize=64)
+def _check_surfaces(surfaces: tuple[Surface, ...], materials: int, textures: int) -> None:
+    """They are of a known kind, and the rows that they name exist."""
+    for row, surface in enumerate(surfaces):
+        lowest = -1 if surface.lighting == "unlit" else 0
+        for field, is_right, allowed in (
+            ("lighting", surface.lighting in ("lit", "unlit", "emissive"), "'lit', 'unlit' or 'emissive'"),
+            ("material", lowest <= surface.material < materials, f"a row in [{lowest}, {materials})"),
+            ("texture", -1 <= surface.texture < textures, f"a row in [-1, {textures})"),
+            ("color_components", surface.color_components in (0, 3, 4), "0, 3 or 4"),
+        ):
+            if not is_right:
+                got = getattr(surface, field)
+                raise ValueError(f"scene: surfaces[{row}].{field}: expected {allowed}, got {got!r:.60}")
 
 
 @functools.cache

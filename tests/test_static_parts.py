@@ -1,0 +1,134 @@
+"""What is static of scenes and plans, and numbers that are none: refused by name before anything is compiled."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxlight import SampleBuffer, Scene, Surface, nodes, shade, sum_over_samples
+from jaxlight.lighting import make_plan
+from jaxlight.scene.flags import Flags
+
+BALL = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material(shininess=0.1)), geometry=nodes.Sphere())
+LAMP = nodes.PointLight(location=(0, 0, 3), name="key")
+SUN = nodes.DirectionalLight()
+SAMPLE = SampleBuffer.create([[0, 0, 1.0]], [[0, 0, 1.0]], [0, 0, 5.0])
+
+
+def scene_of(*others: nodes.Node) -> Scene:
+    return Scene.from_nodes([BALL, *others])
+
+
+SCENE = scene_of(LAMP, nodes.Fog(visibility_range=9))
+FREE: dict[str, Any] = {
+    "all": True,
+    "a path": "Material[*].specular_color",
+    "paths": ["PointLight[key].color", "Material[0].specular_color.r"],
+    "a function": lambda scene: scene.materials.specular_color,
+    "a leaf": SCENE.materials.specular_color,  # pyright: ignore[reportOptionalMemberAccess]
+    "leaves": [SCENE.materials.specular_color],  # pyright: ignore[reportOptionalMemberAccess]
+    "all of a kind": SCENE.materials,
+}
+
+
+@pytest.mark.parametrize("name", FREE)
+def test_what_is_free_is_told_in_every_way_that_means_it(name: str) -> None:
+    plan = make_plan(SCENE, SAMPLE, free=FREE[name])
+    assert plan.specular and not make_plan(SCENE, SAMPLE).specular
+    bright = eqx.tree_at(lambda scene: scene.materials.specular_color, SCENE, jnp.ones((1, 3)))
+    np.testing.assert_allclose(shade(bright, SAMPLE, plan=plan), shade(bright, SAMPLE), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("free", "said"),
+    [
+        ([jnp.zeros((1, 3))], "an array of shape .1, 3. that is none of them"),
+        ([np.zeros((1, 3))], "an array of shape .1, 3. that is none of them"),
+        (False, "got False that is none of them"),
+        ("Material[*].shine", "the closest: Material"),
+        (3, "got 3 that is none of them"),
+    ],
+)
+def test_what_the_scene_does_not_hold_cannot_be_free(free: Any, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        make_plan(SCENE, SAMPLE, free=free)
+
+
+def test_plans_are_made_for_scenes() -> None:
+    with pytest.raises(ValueError, match="scene: expected a Scene, got NoneType"):
+        make_plan(None)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="samples: expected a SampleBuffer or None, got str"):
+        make_plan(SCENE, "x")  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    ("others", "differs"),
+    [
+        ([LAMP, LAMP, nodes.Fog(visibility_range=9)], "point"),
+        ([nodes.PointLight(on=False), nodes.Fog(visibility_range=9)], "point"),
+        ([nodes.NavigationInfo(headlight=False), nodes.Fog(visibility_range=9)], "point"),
+        ([LAMP, nodes.Fog(visibility_range=9, fog_type="EXPONENTIAL")], "fog"),
+        ([nodes.Transform(scale=(2, 1, 1), children=[LAMP]), SUN], "directional and point and fog"),
+        ([nodes.Shape(appearance=nodes.Appearance(material=nodes.Material())), LAMP], "materials and point and fog"),
+    ],
+)  # fmt: skip
+def test_a_plan_of_another_scene_is_refused(others: list[nodes.Node], differs: str) -> None:
+    plan = make_plan(scene_of(*others), SAMPLE, free=True)
+    for shaded in (
+        lambda: shade(SCENE, SAMPLE, plan=plan),
+        lambda: jax.jit(lambda scene: shade(scene, SAMPLE, plan=plan))(dataclasses.replace(SCENE, document=None)),
+        lambda: sum_over_samples(lambda color: color[0], SCENE, SAMPLE, plan=plan),
+    ):
+        with pytest.raises(ValueError, match=f"plan: made for a scene with other .*{differs} .numbers may differ"):
+            shaded()
+
+
+def test_a_plan_serves_other_numbers() -> None:
+    plan = make_plan(SCENE, SAMPLE, free=True)
+    moved = scene_of(nodes.PointLight(location=(1, 0, 2), color=(1, 0, 0)), nodes.Fog(visibility_range=20))
+    np.testing.assert_allclose(shade(moved, SAMPLE, plan=plan), shade(moved, SAMPLE), rtol=1e-6)
+
+
+@pytest.mark.parametrize("field", ["location", "radius", "attenuation", "intensity", "color"])
+def test_numbers_of_lights_that_are_none_are_refused(field: str) -> None:
+    leaf = getattr(SCENE.point, field)
+    broken = eqx.tree_at(lambda scene: getattr(scene.point, field), SCENE, jnp.full_like(leaf, jnp.nan))
+    with pytest.raises(ValueError, match=f"PointLight.{field}: expected numbers, got {leaf.size} that are NaN"):
+        shade(broken, SAMPLE)
+    off = dataclasses.replace(broken.point, on=Flags([False]))
+    unlit = dataclasses.replace(broken, point=off)
+    assert np.all(np.isfinite(shade(unlit, SAMPLE)))
+
+
+@pytest.mark.parametrize("name", ["position", "normal"])
+@pytest.mark.parametrize("number", [np.nan, np.inf, 1e39])
+@pytest.mark.filterwarnings("ignore:overflow encountered in cast")
+def test_rows_are_finite_as_those_of_a_new_buffer(name: str, number: float) -> None:
+    with pytest.raises(ValueError, match=rf"SampleBuffer: {name}: every number must be finite; {name}\[0, 0\] is"):
+        SAMPLE.with_rows(**{name: np.full((1, 3), number)})
+
+
+STATIC: dict[str, tuple[dict[str, Any], str]] = {
+    "row": ({"surfaces": (Surface("lit", 7),)}, r"surfaces\[0\].material: expected a row in \[0, 1\), got 7"),
+    "kind": ({"surfaces": (Surface("Lit", 0),)}, r"surfaces\[0\].lighting: expected 'lit', .* got 'Lit'"),
+    "texture": ({"surfaces": (Surface("lit", 0, 0),)}, r"surfaces\[0\].texture: expected a row in \[-1, 0\), got 0"),
+    "scope": ({"surfaces": SCENE.surfaces * 2}, r"in_scope: expected Flags of shape \[2, 1\], got shape \[1, 1\]"),
+    "fog": ({"fog": dataclasses.replace(SCENE.fog, fog_type="linear")}, "fog_type: expected 'LINEAR' or 'EXP"),
+    "lights": ({"point": SCENE.materials}, "scene: point: expected PointLights or None, got Materials"),
+    "material": ({"materials": "x"}, "scene: materials: expected Materials or None, got str"),
+    "textures": ({"textures": []}, "scene: textures: expected a tuple of Texture, got"),
+    "on": ({"point": dataclasses.replace(SCENE.point, on=[True])}, "PointLight.on: expected Flags of shape .*a list"),
+}  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("case", STATIC)
+def test_static_parts_that_do_not_fit_are_refused(case: str) -> None:
+    changes, said = STATIC[case]
+    with pytest.raises(ValueError, match=said):
+        shade(dataclasses.replace(SCENE, **changes), SAMPLE)
