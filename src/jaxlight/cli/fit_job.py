@@ -69,10 +69,13 @@ class FitJob:
             stage("finding what is visible")
             views = make_views(problem, source, scene)
         from jaxlight import Free, fit
+        from jaxlight.fit.earlier import previous_of, spare_unfinished
 
         method = _method(problem)
         if method is not None and self.resume:
             raise ValueError(f"--resume: the solver {problem.solver} has no checkpoints")
+        if method is not None and not self.overwrite:
+            spare_unfinished(checkpoint, previous_of(checkpoint))
         frees = [dataclasses.asdict(one) for one in problem.frees]
         with Interrupts() as interrupts:
             with blamed_by_name(source, [view.name for view in views], problem.frees):

@@ -59,7 +59,8 @@ class FitSettings:
     atol: float | None = None
     """Absolute tolerance of the numbers."""
     starts: int = 1
-    """So many starts: the given one, the others with random places of lights and exponents of highlights."""
+    """So many starts: the given one, the others with random places, directions and cones of lights, exponents of
+    highlights and ranges of fog, where these are free."""
     seed: int = 0
     """Of the random starts."""
     checkpoint_seconds: float = 1.0

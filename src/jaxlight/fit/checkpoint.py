@@ -23,6 +23,7 @@ import numpy as np
 
 from ..formats.safe_write import drafts_of, written_whole
 from ..scene.flags import Flags
+from .earlier import previous_of
 from .problem import Problem
 from .run import FitState, begin
 from .solver import BoundedLevenbergMarquardt
@@ -65,7 +66,7 @@ class Checkpoint:
         self.path = Path(path)
         if self.path.suffix != ".npz":
             raise ValueError(f"checkpoint: expected a name that ends in .npz, got {self.path}")
-        self.previous = self.path.with_stem(f"{self.path.stem}.previous")
+        self.previous = previous_of(self.path)
         self._digest = digest((problem, solver), run)
         template = eqx.filter_eval_shape(begin, problem, solver)
         leaves, self._structure = jax.tree_util.tree_flatten_with_path(template)

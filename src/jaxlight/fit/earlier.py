@@ -12,6 +12,11 @@ _LARGEST = 4096
 """Bytes of a number in an archive, its heading included."""
 
 
+def previous_of(checkpoint: Path) -> Path:
+    """Where the checkpoint before the newest is kept."""
+    return checkpoint.with_stem(f"{checkpoint.stem}.previous")
+
+
 def spare_unfinished(*checkpoints: Path) -> None:
     """Raise ValueError if the newest of these files, those that exist, is anything but the checkpoint of a fit that is
     over: that can be repeated, all else would be lost.

@@ -151,9 +151,9 @@ def fit(
         options: readings of the specification, as for `shade`.
         max_steps: steps to try at most; reaching it is never reported as success.
         rtol, atol: relative and absolute tolerance of the parameters (default: what the precision can reach).
-        starts: more than 1: begin from so many places, the given one and random places and directions of lights and
-            exponents of highlights, a few steps each, and carry on from the lowest.
-        seed: of the random starts; without them it means nothing.
+        starts: more than 1: begin from so many places, the given one and random places, directions and cones of lights,
+            exponents of highlights and ranges of fog, where free, a few steps each, and carry on from the lowest.
+        seed: of the random starts; a run that is resumed has the same as before.
         method: an optimistix minimiser (`optimistix.LBFGS(1e-6, 1e-6)`, `optimistix.OptaxMinimiser(optax.adam(0.01),
             1e-6, 1e-6)`) instead of the bounded Levenberg-Marquardt; it has tolerances of its own, shows no
             steps, explores no random starts, and only approaches bounds.
