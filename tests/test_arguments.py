@@ -24,6 +24,7 @@ from jaxlight import (
     fitted_values,
     nodes,
     rasterize,
+    resolve,
     shade,
     sum_over_samples,
     write_report,
@@ -84,7 +85,7 @@ OTHERS: list[tuple[Callable[[Scene, View, Fit], Any], str]] = [
     (lambda s, v, r: Orthographic(center=(0, 0, np.nan)), "Orthographic.center: expected 3 finite numbers"),
     (lambda s, v, r: Camera.default(s).rays(0, 10), "rays: width: expected a whole number >= 1, got 0"),
     (lambda s, v, r: Camera.default(s).rays(3, 2.5), "rays: height: expected a whole number >= 1, got 2.5"),
-    (lambda s, v, r: compare(v.target, v.target, peak=0), "compare: peak: expected a number > 0, got 0"),
+    (lambda s, v, r: compare(v.target, v.target, peak=0), "compare: peak: expected a finite number > 0, got 0"),
     (
         lambda s, v, r: LightingOptions(support_level=np.array([1, 2])),
         r"support_level: expected 1 or 2 or 3, got array",
@@ -92,7 +93,12 @@ OTHERS: list[tuple[Callable[[Scene, View, Fit], Any], str]] = [
     (lambda s, v, r: LightingOptions(support_level=np.array(3)), r"support_level: expected 1 or 2 or 3, got array"),
     (lambda s, v, r: v.samples.in_storage_order("a"), "in_storage_order: expected numbers, got 'a'"),
     (lambda s, v, r: sum_over_samples(3, s, v.samples), "function: expected a function of colours, got 3"),
-    (lambda s, v, r: sum_over_samples(lambda c, p: c, s, v.samples, "a"), r"planes\[0\]: expected numbers, got 'a'"),
+    (
+        lambda s, v, r: sum_over_samples(lambda c, p: c, s, v.samples, "a"),
+        r"planes\[0\]: expected real numbers, got 'a'",
+    ),
+    (lambda s, v, r: sum_over_samples(lambda c: 1j * c, s, v.samples), "function: expected real numbers, got complex"),
+    (lambda s, v, r: resolve("a", v.samples), "resolve: values: expected real numbers, got 'a'"),
     (
         lambda s, v, r: shade(s, jax.tree.map(lambda leaf: leaf[None], v.samples)),
         r"samples: position_planes: expected shape \[1, 3, 64\], got \[1, 1, 3, 64\]: .* jax.vmap",

@@ -197,6 +197,15 @@ def test_comparison_figures() -> None:
         (lambda: encode(np.zeros(3, np.uint8)), "image: got uint8; divide by 255"),
         (lambda: decode(np.zeros(3, np.uint16)), "image: got uint16; divide by 65535"),
         (lambda: encode(np.zeros(3), "gamma"), "expected 'none' or 'srgb', got 'gamma'"),
+        (lambda: encode(np.zeros(3), np.ones(3)), "expected 'none' or 'srgb', got array"),
+        (lambda: encode("x"), "image: expected real numbers, got 'x'"),
+        (lambda: decode(None), "image: expected real numbers, got None"),
+        (lambda: decode(np.ones(3) * 1j), "image: expected real numbers, got complex"),
+        (lambda: compare(np.zeros((2, 3)), np.zeros((2, 3)), peak="a"), "peak: expected a finite number > 0, got 'a'"),
+        (
+            lambda: compare(np.zeros((2, 3)), np.ones((2, 3)), peak=np.inf),
+            "peak: expected a finite number > 0, got inf",
+        ),
     ],
 )
 def test_errors_say_what_is_wrong(act: object, message: str) -> None:

@@ -54,8 +54,8 @@ def compare(image: Any, reference: Any, mask: Any = None, *, peak: float = 1.0) 
         ValueError: shapes that differ, a mask that leaves nothing, a compared value that is not finite, a `peak`
             that is not > 0.
     """
-    if not peak > 0:
-        raise ValueError(f"compare: peak: expected a number > 0, got {peak!r:.60}")
+    if not isinstance(peak, (int, float, np.integer, np.floating)) or not 0 < peak < math.inf:
+        raise ValueError(f"compare: peak: expected a finite number > 0, got {peak!r:.60}")
     a, b = _image("image", image), _image("reference", reference)
     if a.shape != b.shape:
         raise ValueError(f"compare: image has shape {list(np.shape(image))}, reference {list(np.shape(reference))}")

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ..arrays import real_array
 from ..formats.levels import refuse_levels
 
 Transfer = Literal["none", "srgb"]
@@ -25,10 +26,10 @@ def encode(image: Any, transfer: Transfer = "srgb") -> Array:
         sRGB numbers for "srgb", otherwise the image itself; the same shape.
 
     Raises:
-        ValueError: an unknown transfer; levels of 8 or 16 bits for numbers.
+        ValueError: an unknown transfer; no real numbers, or levels of 8 or 16 bits for them.
     """
-    _check(transfer, image)
-    return linear_to_srgb(image) if transfer == "srgb" else jnp.asarray(image)
+    numbers = _checked(image, transfer)
+    return linear_to_srgb(numbers) if transfer == "srgb" else numbers
 
 
 def decode(image: Any, transfer: Transfer = "srgb") -> Array:
@@ -42,10 +43,10 @@ def decode(image: Any, transfer: Transfer = "srgb") -> Array:
         Linear numbers for "srgb", otherwise the image itself; the same shape.
 
     Raises:
-        ValueError: an unknown transfer; levels of 8 or 16 bits for numbers.
+        ValueError: an unknown transfer; no real numbers, or levels of 8 or 16 bits for them.
     """
-    _check(transfer, image)
-    return srgb_to_linear(image) if transfer == "srgb" else jnp.asarray(image)
+    numbers = _checked(image, transfer)
+    return srgb_to_linear(numbers) if transfer == "srgb" else numbers
 
 
 def linear_to_srgb(linear: Any) -> Array:
@@ -64,7 +65,8 @@ def srgb_to_linear(srgb: Any) -> Array:
     return jnp.where(is_straight, x / 12.92, curved)
 
 
-def _check(transfer: str, image: Any) -> None:
+def _checked(image: Any, transfer: Any) -> Array:
+    if not isinstance(transfer, str) or transfer not in ("none", "srgb"):
+        raise ValueError(f"transfer: expected 'none' or 'srgb', got {transfer!r:.60}")
     refuse_levels("image", image)
-    if transfer not in ("none", "srgb"):
-        raise ValueError(f"transfer: expected 'none' or 'srgb', got {transfer!r}")
+    return real_array("image", image)

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..arrays import real_array
 from ..lighting import LightingOptions, Plan, shade_slots
 from ..lighting.checks import check_samples
 from ..lighting.compiling import quick_jit
@@ -59,7 +60,7 @@ def resolve(values: Any, samples: SampleBuffer) -> Float[Array, "height width ch
         ValueError: a shape that does not fit, or samples without pixels.
     """
     _check_pixels(samples)
-    values = jnp.asarray(values)
+    values = real_array("resolve: values", values)
     if values.ndim not in (1, 2) or values.shape[0] != samples.count:
         raise ValueError(f"resolve: expected values of shape [{samples.count}, channels], got {list(values.shape)}")
     values = values.astype(jnp.result_type(values, float))

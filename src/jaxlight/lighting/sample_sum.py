@@ -18,6 +18,7 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from ..arrays import real_array
 from ..promotion import usual_promotion
 from ..raster.samples import LANES, SampleBuffer
 from ..scene import Scene
@@ -63,7 +64,7 @@ def sum_over_samples(
     scene, plan = checked(scene, samples, options, plan)
     if not callable(function):
         raise ValueError(f"function: expected a function of colours, got {function!r:.60}")
-    planes = tuple(_plane(number, plane) for number, plane in enumerate(planes))
+    planes = tuple(real_array(f"planes[{number}]", plane) for number, plane in enumerate(planes))
     for number, plane in enumerate(planes):
         if plane.shape[-1:] != (samples.slots,):
             raise ValueError(
@@ -78,6 +79,8 @@ def sum_over_samples(
         raise ValueError(
             f"function: expected shape [..., {count}] for {count} samples, got {getattr(given, 'shape', given)}"
         )
+    if jnp.issubdtype(given.dtype, jnp.complexfloating):
+        raise ValueError(f"function: expected real numbers, got {given.dtype}")
 
     def of_numbers_too(*operands: Array) -> Array:
         of_samples, numbers = operands[: len(planes) + 1], operands[len(planes) + 1 :]
@@ -90,13 +93,6 @@ def sum_over_samples(
     # Outside of jit `jax.shard_map` takes no rule that asks for symbolic zeros.
     summed = jax.jit(_sum, static_argnums=(0, 1, 2)) if is_inside() else _sum
     return summed(of_numbers_too, plan, axes, *varying((scene, samples, planes, numbers), axes))
-
-
-def _plane(number: int, plane: Any) -> Array:
-    try:
-        return jnp.asarray(plane)
-    except (TypeError, ValueError):
-        raise ValueError(f"planes[{number}]: expected numbers, got {plane!r:.60}") from None
 
 
 Function = Callable[..., Array]

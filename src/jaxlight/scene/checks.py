@@ -93,17 +93,20 @@ def _check_leaves(name: str, owner: Any) -> None:
             raise ValueError(f"{name}.{field}: expected floating-point numbers of shape [{wanted}], got {_told(leaf)}")
 
 
-def _check_numbers(name: str, owner: Any) -> None:
+def _check_numbers(kind: str, owner: Any) -> None:
     """No number that is known is NaN, but of lights that are off, which nobody reads."""
-    on = owner.on.array if hasattr(owner, "on") else None
+    names = getattr(owner, "names", None)
     for field in _dimensions(type(owner)):
         leaf = getattr(owner, field)
         if isinstance(leaf, Tracer):
             continue
-        bad = np.isnan(np.asarray(leaf))
-        bad = bad if on is None else bad[on]
+        bad = np.isnan(np.asarray(leaf)).reshape(1 if names is None else len(names), -1).any(axis=1)
+        if kind in LIGHT_KINDS:
+            bad &= owner.on.array
         if np.any(bad):
-            raise ValueError(f"{name}.{field}: expected numbers, got {np.count_nonzero(bad)} that are NaN")
+            row = int(np.argmax(bad))
+            label = kind if names is None else f"{kind}[{names[row] or row}]"
+            raise ValueError(f"{label}.{field}: every number must be finite, got NaN")
 
 
 def _check_flags(name: str, owner: Any, surfaces: int) -> None:
