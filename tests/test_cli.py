@@ -490,11 +490,6 @@ sys.exit(main({[*words, "parts"]!r}))
     assert whole["values"] == parts["values"] and whole["message"] == parts["message"]
     ends = [json.loads(line) for line in Path("parts/log.jsonl").read_text().splitlines()]
     assert [line["event"] for line in ends if line["event"] != "step"] == ["begin", "end", "resume", "end"]
-    assert run(*words, "short", "--max-steps", 2).status == 1
-    before = {path.name: path.read_bytes() for path in Path("short").iterdir()}
-    other = run(*words, "short", "--solver", "lbfgs")
-    assert other.status == 2 and "belongs to a fit that is not over" in other.err
-    assert {path.name: path.read_bytes() for path in Path("short").iterdir()} == before
     result = run(*words, "parts", "--resume", "--seed", 1)
     assert result.status == 2 and "belongs to another fit" in result.err and result.err.count("\n") == 1
 

@@ -48,6 +48,20 @@ def test_what_is_wrong_is_called_by_its_option(
     assert not Path("fitted").exists()
 
 
+def test_other_minimisers_spare_a_fit_that_is_not_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("scene.x3d").write_text(SCENE)
+    write_image("target.png", np.clip(sphere_picture(24), 0, 1))
+    words = "fit scene.x3d target.png --output fitted --free Material[body].diffuse_color PointLight[key].location"
+    assert main([*words.split(), "--max-steps", "1"]) == 1
+    before = {path.name: path.read_bytes() for path in Path("fitted").iterdir()}
+    assert main([*words.split(), "--solver", "lbfgs"]) == 2
+    assert "belongs to a fit that is not over" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in Path("fitted").iterdir()} == before
+
+
 def test_start_values_are_counted_node_by_node() -> None:
     balls = [nodes.Appearance(material=nodes.Material()), nodes.Appearance(material=nodes.Material())]
     shapes = [nodes.Shape(appearance=one, geometry=nodes.Sphere()) for one in balls]
