@@ -24,11 +24,11 @@ from jaxlight import (
     fitted_values,
     nodes,
     rasterize,
-    resolve,
     shade,
     sum_over_samples,
     write_report,
 )
+from jaxlight.image import resolve
 
 DIFFUSE = "Material[0].diffuse_color"
 
