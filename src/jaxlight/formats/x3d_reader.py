@@ -139,7 +139,7 @@ class _Reader:
         return results[top]
 
     def _put_aside(self, top: Element) -> None:
-        """Remember the DEFs of a subtree that is not read; those of a prototype are its own (X3D 4.4.7.3)."""
+        """Remember the DEFs of a subtree that is not read; those of a prototype are its own."""
         stack = [top]
         while stack:
             element = stack.pop()
