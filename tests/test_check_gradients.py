@@ -33,13 +33,12 @@ def everything(dtype: Any) -> tuple[Scene, SampleBuffer]:
     return Scene.from_nodes([shape, lamp, SPOT, SUN, fog], dtype=dtype), samples
 
 
-@pytest.mark.parametrize("bits", ["float32", "float64"])
-def test_every_field_of_every_node_passes(bits: str) -> None:
-    with precision(bits) as dtype:
+def test_every_field_of_every_node_passes() -> None:
+    with precision("float64") as dtype:
         check = check_gradients(*everything(dtype))
     assert check.passed, str(check)
     assert len(check.rows) == 6 + 6 + 9 + 4 + 2 + 1
-    assert check.dtype == ("float64" if bits == "float64" else "float32")
+    assert check.dtype == "float64"
     assert sum(row.largest > 0.01 for row in check.rows) >= 20
     assert check.skipped == ()
 
@@ -77,8 +76,9 @@ def test_where_all_fields_are_switched_off_nothing_is_checked(bits: str) -> None
     ]
 
 
-@pytest.mark.parametrize("of_samples", ["float64", "float32", "bfloat16"])
-@pytest.mark.parametrize("of_scene", ["float64", "float32", "float16"])
+@pytest.mark.parametrize(
+    ("of_scene", "of_samples"), [("float32", "float64"), ("float64", "float32"), ("float16", "bfloat16")]
+)
 def test_the_float_type_of_samples_decides(of_scene: str, of_samples: str) -> None:
     with precision("float64"):
         check = check_gradients(

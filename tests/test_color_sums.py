@@ -17,7 +17,7 @@ ROWS, LANES = 2, 8
 
 
 @pytest.mark.parametrize("forward", [False, True])
-@pytest.mark.parametrize("lights", [1, 2, 16, 17, 33, 71])
+@pytest.mark.parametrize("lights", [1, 16, 71])
 def test_sums_and_their_derivatives(lights: int, forward: bool) -> None:
     random = np.random.default_rng(lights)
     with jax.enable_x64(True):
@@ -42,7 +42,7 @@ def test_sums_and_their_derivatives(lights: int, forward: bool) -> None:
         _close(jax.jit(lambda *own: jax.vjp(found, *own)[1](back))(*given), jax.vjp(_sums, *given)[1](back))
 
 
-@pytest.mark.parametrize("lights", [3, 24, 35])
+@pytest.mark.parametrize("lights", [3, 35])
 def test_second_derivatives_of_sums(lights: int) -> None:
     random = np.random.default_rng(lights)
     with jax.enable_x64(True):

@@ -82,8 +82,6 @@ def on_two_devices(lights: int, *, whole: bool) -> None:
 
     wanted = jnp.stack([shade(scene, one, plan=plan) for one in buffers])
     assert_close(jax.jit(mapped(colors, OWN))(samples), wanted)
-    if whole:
-        assert_close(mapped(colors, OWN)(samples), wanted)
 
     tiles = tile_by_tile(plan)
     for loss in (of_colors(plan), tiles) if whole else (tiles,):
@@ -104,11 +102,9 @@ def on_two_devices(lights: int, *, whole: bool) -> None:
         total = mapped(on_each, (SHARED, OWN, SHARED), SHARED)
         found = jax.jit(jax.value_and_grad(total, (0, 2)))(scene, samples, FACTOR)
         assert_close(found, (value, (slope, jnp.sum(by_factors))))
-        if whole:
-            assert_close(jax.jit(mapped(slope_on_each, (SHARED, OWN, SHARED), SHARED))(scene, samples, FACTOR), slope)
         if whole and loss is tiles:
-            assert_close(total(scene, samples, FACTOR), value)
-            assert_close(jax.grad(total)(scene, samples, FACTOR), slope)
+            assert_close(jax.jit(mapped(slope_on_each, (SHARED, OWN, SHARED), SHARED))(scene, samples, FACTOR), slope)
+            assert_close(jax.grad(total)(scene, samples, FACTOR), slope)  # outside of jit
             # A factor for each device, of different losses.
             factors = jnp.array([1.5, 0.5])
             total = mapped(lambda *all: on_each(*all[:2], all[2][0]), (SHARED, OWN, OWN), SHARED)
@@ -126,8 +122,7 @@ def test_devices_of_a_mesh_that_keeps_account_of_what_varies(lights: int, whole:
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("fog_type", ["LINEAR", "EXPONENTIAL"])
-@pytest.mark.parametrize("lights", [1, 12])
+@pytest.mark.parametrize(("lights", "fog_type"), [(1, "LINEAR"), (12, "EXPONENTIAL")])
 def test_a_mesh_of_explicit_axes(lights: int, fog_type: str) -> None:
     scene, samples = scene_under_lights(lights, fog_type), buffer(1)
     wanted = shade(scene, samples)

@@ -163,27 +163,25 @@ def few_at_once(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def test_clusters_are_shaded_in_any_order(few_at_once: None) -> None:
     """In the order of how many lights reach them, and all that belongs to a sample goes with it."""
-    scene, samples = colored_bodies(spots=0)
+    scene, samples = colored_bodies(points=40, spots=0)
     culled, brute = plans(scene, samples)
     weights = jnp.asarray(np.random.default_rng(1).normal(size=(samples.count, 4)), np.float32)
 
-    def total(moving: tuple[Scene, jax.Array, jax.Array], plan: Any) -> tuple[jax.Array, jax.Array]:
-        scene, position, color = moving
+    def total(moving: tuple[jax.Array, jax.Array], plan: Any) -> tuple[jax.Array, jax.Array]:
+        position, color = moving
         colors = shade(scene, samples.with_rows(position=position, color=color), plan=plan)
         return jnp.sum(weights * colors), colors
 
     assert samples.color is not None
     slope = jax.jit(jax.grad(total, has_aux=True), static_argnums=1)
-    (found, got), (expected, wanted) = (
-        slope((scene, samples.position, samples.color), plan) for plan in (culled, brute)
-    )
+    (found, got), (expected, wanted) = (slope((samples.position, samples.color), plan) for plan in (culled, brute))
     assert np.std(wanted[:, 3]) > 0.05
     np.testing.assert_allclose(got, wanted, atol=2e-5)
     assert_leaves_close(found, expected, 3e-5)
 
 
 def test_clusters_are_ordered_by_lights_of_both_kinds(few_at_once: None) -> None:
-    scene, samples = colored_bodies(textures=False)
+    scene, samples = colored_bodies(points=40, textures=False)
     culled, brute = plans(scene, samples)
     assert culled.point is not None and culled.spot is not None
     np.testing.assert_allclose(shade(scene, samples, plan=culled), shade(scene, samples, plan=brute), atol=2e-5)
@@ -296,7 +294,7 @@ def test_clusters_go_by_the_length_of_all_their_lists() -> None:
     np.testing.assert_array_equal(culling.by_length(lists), np.argsort(length, kind="stable"))
 
 
-@pytest.mark.parametrize("count", [1, 31, 32, 33, 64, 250, 1000])
+@pytest.mark.parametrize("count", [1, 32, 33, 250])
 @pytest.mark.parametrize("share", [0.0, 0.03, 0.4, 1.0])
 def test_batches_hold_every_light_whose_flag_is_set_once(count: int, share: float) -> None:
     flags = np.random.default_rng(count).random(count) < share

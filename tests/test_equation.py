@@ -140,6 +140,8 @@ def fogs() -> Iterator[tuple[str, Case]]:
 
 
 CASES = dict(itertools.chain(tables(), fields(), fogs()))
+IN_BOTH_PRECISIONS = list(dict(itertools.chain(fields(), fogs())))
+"""The tables choose among colours, whatever these are made of."""
 
 
 def answers(cases: Sequence[Case], dtype: Any) -> np.ndarray:
@@ -162,8 +164,9 @@ def answers_of_structure(shape: tuple, bits: str) -> dict[str, np.ndarray]:
         return dict(zip(names, answers([CASES[name] for name in names], dtype), strict=True))
 
 
-@pytest.mark.parametrize("bits", TOLERANCE)
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    ("name", "bits"), [*((name, "float64") for name in CASES), *((name, "float32") for name in IN_BOTH_PRECISIONS)]
+)
 def test_the_equation_is_the_specifications(name: str, bits: str) -> None:
     one = CASES[name]
     rgb, alpha = equation.shade(one)
@@ -179,7 +182,7 @@ def test_random_scenes_compiled(bits: str) -> None:
     assert good.sum() > 50
     by_shape = {str(options_of(one)) + str(len(one.lights)): one for one, fine in zip(cases, good, strict=True) if fine}
     with precision(bits) as dtype:
-        for one in list(by_shape.values())[:6]:
+        for one in list(by_shape.values())[:4]:
             scene, samples = scene_and_sample(one, dtype)
             compiled = np.asarray(shade(scene, samples, options_of(one))[0], dtype=np.float64)
             rgb, alpha = equation.shade(one)
@@ -216,7 +219,8 @@ def test_colors_without_alpha_in_a_buffer_with_alpha(name: str) -> None:
         scene, samples = scene_and_sample(one, dtype)
         assert samples.color_planes is not None
         wider = jnp.concatenate([samples.color_planes, jnp.full_like(samples.color_planes[:, :1], 0.6)], axis=1)
-        got = np.asarray(shade(scene, dataclasses.replace(samples, color_planes=wider), options_of(one))[0])
+        with jax.disable_jit():
+            got = np.asarray(shade(scene, dataclasses.replace(samples, color_planes=wider), options_of(one))[0])
     rgb, alpha = equation.shade(one)
     np.testing.assert_allclose(got, [*rgb, alpha], rtol=1e-12)
 
@@ -242,9 +246,8 @@ BOXES = [
 """Boxes whose sides and diagonal are whole numbers."""
 
 
-@pytest.mark.parametrize("scale", [1.0, 3.0])
 @pytest.mark.parametrize("boxes", [BOXES[:20], BOXES], ids=["few", "many"])
-@pytest.mark.parametrize("bits", TOLERANCE)
+@pytest.mark.parametrize(("bits", "scale"), [("float32", 1.0), ("float64", 3.0)])
 def test_samples_at_the_radius_are_lit(bits: str, boxes: list[Any], scale: float) -> None:
     """Each under a light of its own; those a ten thousandth farther away are dark (reading 9)."""
     corners = np.array([sides for sides, _ in boxes], float)

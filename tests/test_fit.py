@@ -196,12 +196,11 @@ def test_several_samples_a_pixel() -> None:
             position=points, normal=points, eye=(0, 0, 4), pixel=gathered, coverage=np.full(len(points), 0.25),
             width=SIZE, height=SIZE, dtype=dtype,
         )  # fmt: skip
-        over_black = View(samples, fine, background=(0.0, 0.0, 0.0))
-        for view in (over_black, View(samples, fine)):
-            result = fit(start(dtype), view, FREE)
-            assert result.converged and error(result, material(), key_light()) < 1e-6
+        result = fit(start(dtype), View(samples, fine, background=(0.0, 0.0, 0.0)), FREE)
+        assert result.converged and error(result, material(), key_light()) < 1e-6
         # Partly covered pixels count only where it is known what lies behind them.
-        assert fit(start(dtype), over_black, FREE).description.residuals > result.description.residuals
+        _, alone = make_problem(start(dtype), View(samples, fine), FREE)
+        assert result.description.residuals > alone.residuals > 3000
 
 
 def test_masked_points_may_hold_anything() -> None:
@@ -256,14 +255,13 @@ def test_a_full_sensor_is_a_lower_limit_and_no_measurement() -> None:
         assert error(known, material(), key_light()) < 1e-6 < 1e-2 < error(believed, material(), key_light())
 
 
-@pytest.mark.parametrize("loss", ["huber", "cauchy"])
-def test_robust_losses_forgive_what_is_not_in_the_scene(loss: Any) -> None:
+def test_a_robust_loss_forgives_what_is_not_in_the_scene() -> None:
     picture = sphere_picture(SIZE)
     picture[:, : SIZE // 4] = (0.9, 0.1, 0.9)
     with precision("float64") as dtype:
         view = View(sphere_samples(SIZE, dtype=dtype), picture)
         squares = fit(start(dtype), view, FREE)
-        robust = fit(start(dtype), view, FREE, loss=loss, loss_scale=0.01)
+        robust = fit(start(dtype), view, FREE, loss="cauchy", loss_scale=0.01)
         assert robust.converged, robust.message
         assert error(robust, material(), key_light()) < 0.1 * error(squares, material(), key_light())
 

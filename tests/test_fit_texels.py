@@ -75,34 +75,32 @@ def views(truth: Scene, dtype: Any, *, nearest: bool = False, noise: float = 0.0
     return made
 
 
-@pytest.mark.parametrize(("bits", "nearest"), [("float32", True), ("float64", False)])
-def test_texture_material_and_lights_are_found_together(bits: str, nearest: bool) -> None:
-    with precision(bits) as dtype:
+def test_texture_material_and_lights_are_found_together() -> None:
+    with precision("float64") as dtype:
         truth = scene(skin(), dtype)
-        result = fit(start(dtype), views(truth, dtype, nearest=nearest), FREE)
+        result = fit(start(dtype), views(truth, dtype), FREE)
         assert result.converged and result.accepted_steps <= 10, result.message
-        tolerance = 1e-9 if bits == "float64" else 1e-5
-        np.testing.assert_allclose(result.value(SKIN), skin(), atol=tolerance)
+        np.testing.assert_allclose(result.value(SKIN), skin(), atol=1e-9)
         np.testing.assert_array_equal(result.scene.textures[0].image, result.value(SKIN))
-        np.testing.assert_allclose(result.value("Material[body].shininess"), 0.3, atol=tolerance)
-        np.testing.assert_allclose(result.value("PointLight[left].location"), (-2, 1, 3), atol=10 * tolerance)
+        np.testing.assert_allclose(result.value("Material[body].shininess"), 0.3, atol=1e-9)
+        np.testing.assert_allclose(result.value("PointLight[left].location"), (-2, 1, 3), atol=1e-8)
         assert len(result.values) == len(result.labels) == 10
         assert f"{SKIN}: 12 x 12 texels" in str(result)
         assert result.uncertainty.well_posed
 
 
-@pytest.mark.parametrize(
-    ("components", "prior"),
-    [(1, {"total_variation": 0.1}), (4, {"deviation": 0.3})],
-)
-def test_the_arrow_is_the_dense_matrix(components: int, prior: dict[str, float], monkeypatch: Any) -> None:
-    """The same problem with the texels kept as single numbers gives the matrix that the arrow stands for."""
+def test_the_arrow_is_the_dense_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same problem with the texels kept as single numbers gives the matrix that the arrow stands for.
+
+    But for the prior of neighbours, which those do not have: it says nothing of other numbers, nor of a texture that is
+    brighter everywhere, and is never negative.
+    """
     with precision("float64") as dtype:
-        image = np.full((TEXELS, TEXELS, components), 0.5)
+        image = np.full((TEXELS, TEXELS, 4), 0.5)
         image[..., 0] += 0.01 * np.arange(TEXELS)
-        few = ["PointLight[key].location"] if components == 1 else ["PointLight[key].intensity"]
-        fields = [Free(SKIN, **prior), "Material[body].shininess", *few]
-        seen = views(scene(skin(components), dtype), dtype, noise=0.05)
+        priors = {"total_variation": 0.1, "deviation": 0.3}
+        fields = [Free(SKIN, **priors), "Material[body].shininess", "PointLight[key].intensity"]
+        seen = views(scene(skin(4), dtype), dtype, noise=0.05)
         arrow, _ = make_problem(scene(image, dtype), seen, fields, loss="cauchy", loss_scale=0.1)
         made = jax.jit(normal.normal_equations)(arrow, arrow.parameters.start)
         assert isinstance(made.curvature, ArrowCurvature)
@@ -118,20 +116,17 @@ def test_the_arrow_is_the_dense_matrix(components: int, prior: dict[str, float],
         assert np.all(np.asarray(made.curvature.row_sum) >= rows * (1 - 1e-9))
 
         monkeypatch.setattr(chosen, "MIN_BLOCK", 10**9)
-        plain = Free(SKIN, deviation=prior.get("deviation"))
+        plain = Free(SKIN, deviation=priors["deviation"])
         dense, _ = make_problem(scene(image, dtype), seen, [plain, *fields[1:]], loss="cauchy", loss_scale=0.1)
         plain_sums = jax.jit(normal.normal_equations)(dense, dense.parameters.start)
         # The dense problem's texels come first and hold alpha too.
-        colors = np.arange(image.size).reshape(image.shape)[..., : 1 if components <= 2 else 3].reshape(-1)
+        colors = np.arange(image.size).reshape(image.shape)[..., :3].reshape(-1)
         order = np.concatenate([image.size + np.arange(numbers), colors])
         expected = np.asarray(plain_sums.curvature)[np.ix_(order, order)]
-        if not {"smoothness", "total_variation"} & set(prior):
-            np.testing.assert_allclose(whole, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
-        else:
-            extra = whole - expected
-            np.testing.assert_allclose(extra[:numbers], 0, atol=1e-11 * np.abs(expected).max())
-            np.testing.assert_allclose(extra.sum(axis=1), 0, atol=1e-9 * np.abs(extra).max())
-            assert np.linalg.eigvalsh(extra).min() > -1e-9 * np.abs(extra).max()
+        extra = whole - expected
+        np.testing.assert_allclose(extra[:numbers], 0, atol=1e-11 * np.abs(expected).max())
+        np.testing.assert_allclose(extra.sum(axis=1), 0, atol=1e-9 * np.abs(extra).max())
+        assert np.linalg.eigvalsh(extra).min() > -1e-9 * np.abs(extra).max()
 
 
 def test_strength_against_texture_is_named() -> None:
@@ -172,9 +167,8 @@ def test_texels_stay_in_their_bounds_and_what_no_sample_sees_stays() -> None:
         known = result.uncertainty
         said = "48 of 144 texels of Texture[skin].image are seen in no view: what is not seen keeps its start"
         assert known.messages() == [said] and not known.well_posed
-        for held in ({"smoothness": 0.1}, {"deviation": 0.1}):
-            found = fit(start(dtype), view, [Free(SKIN, upper=0.8, **held)], max_steps=1).uncertainty
-            assert found.unseen_texels == () and found.well_posed
+        found = fit(start(dtype), view, [Free(SKIN, upper=0.8, smoothness=0.1)], max_steps=1).uncertainty
+        assert found.unseen_texels == () and found.well_posed
 
 
 def test_an_ambiguity_is_named_where_a_texel_of_it_lies_on_a_bound() -> None:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from fit_scenes import (
-    PRECISIONS,
     key_light,
     material,
     precision,
@@ -45,13 +44,18 @@ PLANTED: dict[str, tuple[list[Any], dict[str, Any], list[str], list[str]]] = {
         [key_light()], {}, ["PointLight[key].color", "PointLight[key].intensity", SPECULAR + ".r"],
         [f"PointLight[key].intensity {TRADED} PointLight[key].color: {PRODUCT}"],
     ),
-    "length of a direction": (
-        [SUN], {}, [DIFFUSE, "DirectionalLight[sun].direction"],
-        ["the length of DirectionalLight[sun].direction is not seen: only where it points"],
-    ),
-    "no highlight": (
-        [key_light()], {"specular_color": (0, 0, 0)}, [DIFFUSE, "Material[body].shininess"],
-        ["Material[body].shininess is not seen: the pictures do not change with it near its value"],
+    "length of a direction, no highlight, no background, out of reach": (
+        [SUN, FAR], {"specular_color": (0, 0, 0)},
+        [
+            DIFFUSE, "DirectionalLight[sun].direction", "Material[body].shininess", "Material[body].transparency",
+            "PointLight[far].intensity",
+        ],
+        [
+            "the length of DirectionalLight[sun].direction is not seen: only where it points",
+            "Material[body].shininess is not seen: the pictures do not change with it near its value",
+            "Material[body].transparency is not seen: the pictures do not change with it near its value",
+            "PointLight[far].intensity is not seen: the pictures do not change with it near its value",
+        ],
     ),
     "two lights in one place": (
         [key_light(), TWIN], {}, ["PointLight[*].intensity", "Material[body].shininess"],
@@ -65,10 +69,6 @@ PLANTED: dict[str, tuple[list[Any], dict[str, Any], list[str], list[str]]] = {
         [key_light(intensity=1.0)], {}, ["PointLight[key].intensity", "View[0].exposure", "Material[body].shininess"],
         [f"View[0].exposure {TRADED} PointLight[key].intensity: {PRODUCT}"],
     ),
-    "out of reach": (
-        [key_light(), FAR], {}, [DIFFUSE, "PointLight[far].intensity"],
-        ["PointLight[far].intensity is not seen: the pictures do not change with it near its value"],
-    ),
     "strength against attenuation": (
         [key_light(attenuation=(1.0, 0.5, 0.2))], {}, ["PointLight[key].intensity", "PointLight[key].attenuation"],
         [f"PointLight[key].intensity {TRADED} PointLight[key].attenuation: only their ratio is seen"],
@@ -81,10 +81,6 @@ PLANTED: dict[str, tuple[list[Any], dict[str, Any], list[str], list[str]]] = {
         [key_light(ambient_intensity=0.3)], {},
         ["Material[body].ambient_intensity", "PointLight[key].ambient_intensity", DIFFUSE],
         [f"PointLight[key].ambient_intensity {TRADED} Material[body].ambient_intensity: {PRODUCT}"],
-    ),
-    "transparency without a background": (
-        [key_light()], {}, ["Material[body].transparency", DIFFUSE],
-        ["Material[body].transparency is not seen: the pictures do not change with it near its value"],
     ),
 }  # fmt: skip
 
@@ -109,7 +105,7 @@ def test_a_planted_ambiguity_is_named(kind: str) -> None:
     assert {label for label, e in zip(found.labels, found.standard_error, strict=True) if np.isinf(e)} == unknown
 
 
-@pytest.mark.parametrize("bits", PRECISIONS)
+@pytest.mark.parametrize("bits", ["float32", "float64"])
 def test_a_well_posed_fit_has_none(bits: str) -> None:
     free = [DIFFUSE, SPECULAR, "Material[body].shininess", "PointLight[key].location"]
     with precision(bits) as dtype:
@@ -368,10 +364,12 @@ def test_texels_that_nothing_shows_take_no_part(texels: int) -> None:
         )  # fmt: skip
         view = View(samples, np.asarray(shade(scene, samples))[:, :3] + noise)
         found = fit(scene, view, ["Texture[skin].image"]).uncertainty
-        # Of 64 x 64 each sample shows another texel: nothing is left to tell the noise from.
-        assert found.noise == (pytest.approx(0.01, rel=0.1) if texels == 24 else np.inf)
-        held = fit(scene, view, [Free("Texture[skin].image", mean=image, deviation=1e-3)]).uncertainty
-        assert held.noise == pytest.approx(0.01, rel=0.1)
+        if texels == 24:
+            assert found.noise == pytest.approx(0.01, rel=0.1)
+        else:  # each sample shows another texel: nothing is left to tell the noise from
+            assert found.noise == np.inf
+            held = fit(scene, view, [Free("Texture[skin].image", mean=image, deviation=1e-3)]).uncertainty
+            assert held.noise == pytest.approx(0.01, rel=0.1)
 
 
 @pytest.mark.parametrize(("loss", "outliers"), [("huber", 0.0), ("cauchy", 0.0), ("huber", 0.1)])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import re
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -54,8 +53,11 @@ def test_render_is_what_an_independent_program_rendered_to_within_8_bits(size: i
     assert np.mean(difference > 0.5) < 5e-4
 
 
-def test_recipe_01_recovers_material_and_lamp_to_what_8_bits_allow(tmp_path: Path) -> None:
-    figures = recipe("01_material_from_render").main(tmp_path, size=256)
+def test_recipe_01_recovers_material_and_lamp_to_what_8_bits_allow(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And writes the fitted scene, a picture and a report."""
+    figures = recipe("01_material_from_render").main(tmp_path / "out", size=256)
     error = np.abs(figures.fitted - figures.truth)
     assert figures.converged
     assert np.all(figures.allowed < 3e-4), "the picture should tell every number to a few parts in ten thousand"
@@ -67,13 +69,9 @@ def test_recipe_01_recovers_material_and_lamp_to_what_8_bits_allow(tmp_path: Pat
     assert figures.rms < 0.289 * 1.02
     assert figures.largest < 0.55
 
-
-def test_recipe_01_run_as_a_program_writes_the_fitted_scene_a_picture_and_a_report(tmp_path: Path) -> None:
-    command = [sys.executable, str(FITTING / "01_material_from_render.py"), "--output", str(tmp_path / "out")]
-    run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=600)
-    assert run.returncode == 0, run.stderr
-    assert "Material[body].shininess" in run.stdout
-    assert (tmp_path / "out" / "report.txt").read_text().strip() in run.stdout
+    printed = capsys.readouterr().out
+    assert "Material[body].shininess" in printed
+    assert (tmp_path / "out" / "report.txt").read_text().strip() in printed
     fitted = jaxlight.load(tmp_path / "out" / "fitted.x3d")
     assert fitted.materials is not None
     np.testing.assert_allclose(fitted.materials.diffuse_color[0], [0.75, 0.5, 0.3], atol=3e-4)

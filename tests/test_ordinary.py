@@ -87,15 +87,16 @@ def lit_sheet(dtype: Any, kind: str) -> tuple[Scene, SampleBuffer]:
     return scene, SampleBuffer.create(position, normal, [0.2, 0.1, 5], tile=64, dtype=dtype, by_place=True)
 
 
-def derivatives(scene: Scene, samples: SampleBuffer) -> Any:
-    """Of a function of all colours, by the fields and by the samples."""
+def slopes_and_colors(scene: Scene, samples: SampleBuffer) -> tuple[Any, jax.Array]:
+    """The derivatives of a function of all colours, by the fields and by the samples."""
     plan = make_plan(scene, samples, free=True)
     floats, rest = eqx.partition((dataclasses.replace(scene, document=None), samples), eqx.is_inexact_array)
 
-    def total(floats: Any) -> jax.Array:
-        return jnp.sum(jnp.sin(3 * shade(*eqx.combine(floats, rest), plan=plan)))
+    def total(floats: Any) -> tuple[jax.Array, jax.Array]:
+        colors = shade(*eqx.combine(floats, rest), plan=plan)
+        return jnp.sum(jnp.sin(3 * colors)), colors
 
-    return jax.jit(jax.grad(total))(floats)
+    return jax.jit(jax.grad(total, has_aux=True))(floats)
 
 
 @pytest.mark.parametrize(("kind", "bits"), [("all kinds", "float32"), ("culled", "float64")])
@@ -107,10 +108,10 @@ def test_ordinary_tiles_have_the_colors_and_derivatives_of_the_form_with_care(
         plan = make_plan(scene, samples)
         assert np.all(prepared.prepare(scene, samples, plan).ordinary)
         assert plan.culled == (kind == "culled")
-        short, short_slopes = shade(scene, samples), derivatives(scene, samples)
+        short_slopes, short = slopes_and_colors(scene, samples)
         monkeypatch.setattr(tile_inputs, "for_all_mapped", jnp.zeros_like)
         jax.clear_caches()
-        careful, careful_slopes = shade(scene, samples), derivatives(scene, samples)
+        careful_slopes, careful = slopes_and_colors(scene, samples)
         jax.clear_caches()
         np.testing.assert_array_max_ulp(np.asarray(short), np.asarray(careful), 4)
         pairs = zip(jax.tree.leaves(short_slopes), jax.tree.leaves(careful_slopes), strict=True)

@@ -92,7 +92,7 @@ def test_derivatives_of_half_precision() -> None:
 
 def test_the_fast_accuracy_keeps_its_bound() -> None:
     """Highlights to 1e-4 of themselves: here 64 ulp x condition of the whole colour."""
-    cases = well_conditioned_cases(11, 16, 32)
+    cases = well_conditioned_cases(11, 8, 32)
     exact = values(cases, 32)
     worst = 0.0
     for i, case in enumerate(cases):
@@ -136,8 +136,7 @@ def test_fast_changes_highlights_only() -> None:
     np.testing.assert_array_equal(shade(dull, samples, FAST), shade(dull, samples))
 
 
-@pytest.mark.parametrize("transform", [jax.jacfwd, jax.jacrev])
-def test_derivatives_of_fast_highlights(transform: Any) -> None:
+def test_derivatives_of_fast_highlights() -> None:
     samples = SampleBuffer.create(*rows(30), EYE, dtype=np.float32)
     scene = dataclasses.replace(spot_in_fog(np.float32), document=None)
 
@@ -146,7 +145,7 @@ def test_derivatives_of_fast_highlights(transform: Any) -> None:
 
     def slopes(options: LightingOptions | None) -> Any:
         free, fixed = eqx.partition(scene, eqx.is_inexact_array)
-        return transform(lambda free: mean(eqx.combine(free, fixed), options))(free)
+        return jax.jit(jax.grad(lambda free: mean(eqx.combine(free, fixed), options)))(free)
 
     for got, wanted in zip(jax.tree.leaves(slopes(FAST)), jax.tree.leaves(slopes(None)), strict=True):
         np.testing.assert_allclose(got, wanted, rtol=1e-4, atol=1e-6)

@@ -83,7 +83,7 @@ def as_oracle(scene: Scene) -> list[tuple[str, np.ndarray, np.ndarray, bool]]:
 
 
 @pytest.mark.filterwarnings("ignore:rasterize. the camera sees no surface")
-@pytest.mark.parametrize("first_seed", [0, 20, 40])
+@pytest.mark.parametrize("first_seed", [0, 20])
 def test_every_ray_meets_what_an_independent_caster_meets(first_seed: int) -> None:
     hits = 0
     for seed in range(first_seed, first_seed + 20):

@@ -99,7 +99,7 @@ def test_normal_equations_are_the_same(turn_to_gpu: Callable[[], None]) -> None:
         view = View(sphere_samples(24, dtype=np.float32), picture)
         free = ["Material[body].diffuse_color", "Material[body].shininess", "PointLight[key].location"]
         problem, _ = make_problem(sphere_scene(dtype=np.float32), view, free)
-        return normal_equations(problem, problem.parameters.start)
+        return jax.jit(normal_equations)(problem, problem.parameters.start)
 
     wanted = equations()
     turn_to_gpu()

@@ -209,10 +209,8 @@ def stored_in_loops(program: str) -> dict[str, int]:
     ("name", "fog", "bits", "accuracy"),
     [
         ("few of all kinds", "EXPONENTIAL", "float32", "full"),
-        ("few of all kinds", "LINEAR", "float32", "fast"),
         ("few of all kinds", "EXPONENTIAL", "float64", "fast"),
         ("all kinds in one loop", "LINEAR", "float64", "full"),
-        ("all kinds in one loop", None, "float32", "full"),
     ],
 )
 def test_a_tile_under_few_lights_is_one_loop(name: str, fog: Any, bits: str, accuracy: Any) -> None:
@@ -238,8 +236,7 @@ def test_more_lights_are_a_loop_for_each_few(samples: SampleBuffer) -> None:
     assert stored_in_loops(program or "") == {f"{loop} {form}": n for loop, n in loops.items() for form in (1, 2)}
 
 
-@pytest.mark.parametrize("bits", ["float32", "float64"])
-@pytest.mark.parametrize("by_place", [False, True])
+@pytest.mark.parametrize(("bits", "by_place"), [("float32", True), ("float64", False)])
 def test_all_blocks_of_all_surfaces_under_few_lights_are_one_loop(bits: str, by_place: bool) -> None:
     """Each block in the material of its surface, under the lights that have this in their scope."""
     random = np.random.default_rng(9)

@@ -28,7 +28,7 @@ from oracle.paths import float_paths
 SEED = 3
 POINTS = 12
 """Singular points of each family."""
-STRUCTURES = 5
+STRUCTURES = 4
 """Kinds of scene that are compiled: those that most cases have."""
 VALUES, DERIVATIVES = 4.0, 16.0
 """Errors that are allowed, in ulp x condition."""

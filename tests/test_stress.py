@@ -18,13 +18,13 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def test_a_small_run_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(ROOT)
-    words = "stress --cases 100 --shapes 1 --adversarial 7 --seed 1 --second 20 --precisions float64 --no-plot"
+    words = "stress --cases 50 --shapes 1 --adversarial 0 --seed 1 --second 10 --precisions float64 --no-plot"
     status = main([*words.split(), "--output", str(tmp_path)])
     table = (tmp_path / "stress.md").read_text()
     assert status == 0, table
     assert "seed 1:" in capsys.readouterr().out
     assert "All figures hold." in table and "**float64, second derivatives" in table
-    assert "| random: " in table and "| vector_size " in table
+    assert "| random: " in table
 
 
 def test_a_case_is_found_by_its_label_and_explained(

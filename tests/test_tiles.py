@@ -86,7 +86,7 @@ def test_lights_in_chunks_have_the_same_colours_and_derivatives(monkeypatch: pyt
     assert_leaves_close(in_chunks, at_once, 2e-5)
 
 
-@pytest.mark.parametrize(("lights", "shares", "bits"), [(3, 2, "float32"), (3, 5, "float64"), (20, 3, "float32")])
+@pytest.mark.parametrize(("lights", "shares", "bits"), [(3, 5, "float64"), (20, 3, "float32")])
 def test_several_cores_change_no_colour(
     monkeypatch: pytest.MonkeyPatch,
     several_cores: Callable[[str, int], list[int]],
@@ -157,12 +157,11 @@ def test_gradients_of_a_loss_of_colors_alone_keep_no_image_with_alpha() -> None:
     assert not re.search(image, program(gradient))
 
 
-@pytest.mark.parametrize("lights", [1, 4])
-def test_the_gradient_of_a_loss_of_an_image_takes_at_most_as_much_memory_as_its_inputs(lights: int) -> None:
+def test_the_gradient_of_a_loss_of_an_image_takes_at_most_as_much_memory_as_its_inputs() -> None:
     count = 2**18
     points = np.random.default_rng(7).normal(size=(count, 3))
     samples = SampleBuffer.create(points, np.ones((count, 3)), [0, 0, 6])
-    free, fixed = eqx.partition(scene_with_lights(lights), eqx.is_inexact_array)
+    free, fixed = eqx.partition(scene_with_lights(4), eqx.is_inexact_array)
     target = jnp.zeros((count // samples.tile, 3, samples.tile))
 
     def loss(free: Scene, samples: SampleBuffer, target: jax.Array) -> jax.Array:
