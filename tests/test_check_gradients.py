@@ -88,10 +88,8 @@ def test_the_float_type_of_samples_decides(of_scene: str, of_samples: str) -> No
     assert check.dtype == ("float64" if of_samples == "float64" else "float32")
 
 
-@pytest.mark.parametrize(("factor", "flag"), [(1.01, True), (jnp.nan, True), (1.0, False)])
-def test_a_derivative_that_is_wrong_by_a_hundredth_is_flagged(
-    monkeypatch: pytest.MonkeyPatch, factor: float, flag: bool
-) -> None:
+@pytest.mark.parametrize("factor", [1.01, jnp.nan])
+def test_a_derivative_that_is_wrong_by_a_hundredth_is_flagged(monkeypatch: pytest.MonkeyPatch, factor: float) -> None:
     original = gradients.shade_planes
 
     @jax.custom_jvp
@@ -117,10 +115,9 @@ def test_a_derivative_that_is_wrong_by_a_hundredth_is_flagged(
             ["Material[body].shininess", "PointLight[key].color"],
         )
     jax.clear_caches()
-    assert check.passed is not flag
-    assert ("WRONG" in str(check)) is flag
+    assert not check.passed and "WRONG" in str(check)
     shininess, color = check.rows
-    assert (not shininess.forward_error < 1e-3) is (not shininess.reverse_error < 1e-3) is flag
+    assert not shininess.forward_error < 1e-3 and not shininess.reverse_error < 1e-3
     # A number that is none reaches the forward derivatives of all fields.
     assert color.reverse_error < 1e-3 and (color.forward_error < 1e-3 or np.isnan(factor))
 

@@ -112,7 +112,7 @@ def on_two_devices(lights: int, *, whole: bool) -> None:
             assert_close(found, alone(scene, factors))
 
 
-@pytest.mark.parametrize(("lights", "whole"), [(1, True), (40, False)])
+@pytest.mark.parametrize(("lights", "whole"), [(1, True), pytest.param(40, False, marks=pytest.mark.thorough)])
 def test_devices_of_a_mesh_that_keeps_account_of_what_varies(lights: int, whole: bool) -> None:
     """In one loop, and with lists of lights."""
     call = f"from test_compositions import on_two_devices; on_two_devices({lights}, whole={whole})"

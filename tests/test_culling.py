@@ -76,7 +76,10 @@ def plans(scene: Scene, samples: SampleBuffer) -> tuple[Any, Any]:
 
 @pytest.mark.parametrize(
     ("kind", "radius", "moved", "by_samples", "bits", "tolerance"),
-    [("point", 0.6, True, True, "float32", 2e-5), ("spot", 100.0, False, False, "float64", 1e-13)],
+    [
+        ("point", 0.6, True, True, "float32", 2e-5),
+        pytest.param("spot", 100.0, False, False, "float64", 1e-13, marks=pytest.mark.thorough),
+    ],
 )
 def test_culling_changes_no_value_and_no_derivative(
     kind: str, radius: float, moved: bool, by_samples: bool, bits: str, tolerance: float
@@ -132,6 +135,7 @@ def test_no_cone_is_missed_for_want_of_range_or_digits(
     assert np.all(wanted[1, :3] > 0.3)
 
 
+@pytest.mark.thorough
 def test_more_lights_than_a_tile_collects_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are worked through in batches: the same picture, the same derivatives."""
     scene, samples = many_lights("point", 1.0)
@@ -180,6 +184,7 @@ def test_clusters_are_shaded_in_any_order(few_at_once: None) -> None:
     assert_leaves_close(found, expected, 3e-5)
 
 
+@pytest.mark.thorough
 def test_clusters_are_ordered_by_lights_of_both_kinds(few_at_once: None) -> None:
     scene, samples = colored_bodies(points=40, textures=False)
     culled, brute = plans(scene, samples)

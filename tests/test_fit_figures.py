@@ -38,6 +38,7 @@ def test_a_picture_of_256_by_256_gives_material_and_light_in_14_steps(bits: str,
     np.testing.assert_allclose(result.values, TRUTH, rtol=tolerance)
 
 
+@pytest.mark.thorough
 def test_of_64_random_starts_95_percent_find_the_optimum() -> None:
     random = np.random.default_rng(2024)
     starts = random.uniform(0.05, 0.95, (64, len(TRUTH)))

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from fit_scenes import key_light, material, precision, sphere_picture, sphere_points, sphere_samples, sphere_scene
 from jaxlight import Free, SampleBuffer, View, fit, fitted_values, nodes
@@ -70,6 +71,7 @@ def test_forward_and_reverse_mode_are_the_differences_of_fits() -> None:
         np.testing.assert_allclose(reverse, forward, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_derivatives_do_not_depend_on_the_unit_of_length() -> None:
     """In single precision too: with the light's place in millimetres, columns of J are a thousandth."""
     free = ["Material[body].shininess", "PointLight[key].location"]

@@ -164,6 +164,9 @@ KINDS = [
 ]  # fmt: skip
 
 
+RARE = ["one of many lights", "a light of its own in each view of every kind", "every light of every kind, one by one"]
+
+
 def dense(problem: Problem, values: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Loss, gradient and Gauss-Newton matrix from the whole Jacobian, in NumPy float64."""
 
@@ -199,7 +202,7 @@ def streamed(kind: str) -> tuple[Problem, dict[str, Any]]:
         return made, jax.tree.map(np.asarray, found)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=[pytest.mark.thorough] * (k in RARE)) for k in KINDS])
 def test_streamed_sums_are_the_dense_ones(kind: str) -> None:
     with precision("float64"):
         made, all_sums = streamed(kind)

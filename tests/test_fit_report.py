@@ -66,9 +66,12 @@ def test_models_show_each_view_with_its_own_lamp_and_exposure(fitted) -> None:
 SKY = (0.2, 0.4, 0.75)
 DIFFERING: dict[str, tuple[dict[str, Any], dict[str, Any], int]] = {
     "a background": ({}, {"background": SKY}, 1),
-    "a background as a picture": ({}, {"background": np.broadcast_to(SKY, (SIZE, SIZE, 3))}, 1),
     "a background behind rims": ({}, {"background": SKY, "exposure": 2.0}, 4),
-    "a transparent shape before a background": ({"transparency": 0.5}, {"background": SKY}, 1),
+    "a transparent shape before a picture of a background": (
+        {"transparency": 0.5},
+        {"background": np.broadcast_to(SKY, (SIZE, SIZE, 3))},
+        1,
+    ),
     "a transparent shape whose alpha is ignored": ({"transparency": 0.5}, {}, 1),
     "lamps that the scene has switched off": ({"on": False}, {"lights": ["PointLight[*]"]}, 1),
 }

@@ -99,7 +99,9 @@ def slopes_and_colors(scene: Scene, samples: SampleBuffer) -> tuple[Any, jax.Arr
     return jax.jit(jax.grad(total, has_aux=True))(floats)
 
 
-@pytest.mark.parametrize(("kind", "bits"), [("all kinds", "float32"), ("culled", "float64")])
+@pytest.mark.parametrize(
+    ("kind", "bits"), [("all kinds", "float32"), pytest.param("culled", "float64", marks=pytest.mark.thorough)]
+)
 def test_ordinary_tiles_have_the_colors_and_derivatives_of_the_form_with_care(
     kind: str, bits: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,7 +33,9 @@ def turn_to_gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], None]]
     jax.clear_caches()
 
 
-@pytest.mark.parametrize(("points", "spots", "culled"), [(40, 0, True), (17, 0, False)])
+@pytest.mark.parametrize(
+    ("points", "spots", "culled"), [(40, 0, True), pytest.param(17, 0, False, marks=pytest.mark.thorough)]
+)
 def test_colours_and_derivatives_are_the_same(
     turn_to_gpu: Callable[[], None], monkeypatch: pytest.MonkeyPatch, points: int, spots: int, culled: bool
 ) -> None:
