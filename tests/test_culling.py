@@ -76,10 +76,7 @@ def plans(scene: Scene, samples: SampleBuffer) -> tuple[Any, Any]:
 
 @pytest.mark.parametrize(
     ("kind", "radius", "moved", "by_samples", "bits", "tolerance"),
-    [
-        ("point", 0.6, True, True, "float32", 2e-5),
-        pytest.param("spot", 100.0, False, False, "float64", 1e-13, marks=pytest.mark.thorough),
-    ],
+    [("point", 0.6, True, True, "float32", 2e-5), ("spot", 100.0, False, False, "float64", 1e-13)],
 )
 def test_culling_changes_no_value_and_no_derivative(
     kind: str, radius: float, moved: bool, by_samples: bool, bits: str, tolerance: float

@@ -30,7 +30,7 @@ LOSS_ALONE = [*ABOUT_RESIDUALS, "grey target + huber", "background + cauchy", "w
 FORWARD_ALONE = [
     "a tie of a colour and an exponent, and a prior", "one of many lights", "a light alone and sensor limits",
     "every number of every material", "materials and ties between them", "nothing but materials + huber",
-    "a light of its own in each view of every kind", "every light of every kind, one by one", "many lights",
+    "a light of its own in each view of every kind", "every light of every kind, one by one",
 ]  # fmt: skip
 """Whose gradient in reverse mode, which does not depend on how directions are grouped, is that of others."""
 
