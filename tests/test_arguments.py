@@ -24,8 +24,10 @@ from jaxlight import (
     fitted_values,
     nodes,
     rasterize,
+    save,
     shade,
     sum_over_samples,
+    write_image,
     write_report,
 )
 from jaxlight.image import resolve
@@ -132,3 +134,24 @@ def test_a_log_replaces_logs_only(scene: Scene, view: View, tmp_path: Path) -> N
     for _ in range(2):
         fit(scene, view, DIFFUSE, max_steps=1, log=log)
     assert log.read_text().count('"begin"') == 1
+
+
+TRACED: dict[str, Callable[[Scene, View, Path], Any]] = {
+    "compare": lambda scene, view, folder: compare(scene.point.location, np.zeros((1, 3))),
+    "write_image": lambda scene, view, folder: write_image(folder / "image.png", scene.point.location),
+    "save": lambda scene, view, folder: save(scene, folder / "scene.x3d"),
+    "fit": lambda scene, view, folder: fit(scene, view, DIFFUSE),
+    "check_gradients": lambda scene, view, folder: check_gradients(scene, view.samples),
+}
+
+
+@pytest.mark.parametrize("name", TRACED)
+def test_what_needs_numbers_refuses_traced_ones(name: str, scene: Scene, view: View, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=f"^{name}: .* call it outside of jax.jit"):
+        jax.jit(lambda scene: TRACED[name](scene, view, tmp_path))(scene)
+    assert not list(tmp_path.iterdir())
+
+
+def test_numbers_that_are_known_are_compared_inside_jit_too() -> None:
+    known = np.zeros((2, 2))
+    assert jax.jit(lambda x: x + compare(known, known).pixels)(1.0) == 5

@@ -18,6 +18,7 @@ from ..lighting import LightingOptions
 from ..promotion import usual_promotion
 from ..scene.fields import non_negative, whole
 from ..scene.scene import Scene
+from ..tracing import refuse_inside
 from .checkpoint import Checkpoint, CheckpointWarning
 from .chosen import canonical
 from .earlier import spare_unfinished
@@ -172,8 +173,10 @@ def fit(
 
     Raises:
         ValueError: a path, shape, bound or value that does not fit, found before anything is compiled; a checkpoint
-            that belongs to another fit or is damaged, or that only `resume` or `overwrite` may replace.
+            that belongs to another fit or is damaged, or that only `resume` or `overwrite` may replace; a call inside
+            `jax.jit` or another transformation (`fitted_values` is for those).
     """
+    refuse_inside("fit")
     whole("starts", starts, at_least=1)
     whole("max_steps", max_steps, at_least=1)
     whole("seed", seed, at_least=0)

@@ -20,6 +20,7 @@ from ..scene import paths
 from ..scene.fields import positive, whole
 from ..scene.paths import Path
 from ..scene.scene import Scene
+from ..tracing import refuse_inside
 from .free import free_parameters
 from .parameters import Parameters, World
 from .widened import widened
@@ -109,8 +110,9 @@ def check_gradients(
 
     Raises:
         ValueError: no such field, or not a number in the scene; a scene or samples that `shade` would refuse; no
-            sample; a tolerance that is not above 0.
+            sample; a tolerance that is not above 0; a call inside `jax.jit` or another transformation.
     """
+    refuse_inside("check_gradients")
     check_samples(scene, samples)
     if samples.count == 0:
         raise ValueError("samples: there is nothing to check: the buffer holds no sample")

@@ -23,11 +23,12 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from ..lighting.compiling import is_traced, quick_jit
+from ..lighting.compiling import quick_jit
 from ..lighting.cores import in_threads, shares_of
 from ..lighting.tiles import Share
 from ..processor import for_cpu
 from ..scene.fields import non_negative
+from ..tracing import is_traced
 from . import normal
 from .moments import Moments
 from .problem import Problem

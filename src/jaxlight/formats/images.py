@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageOps
 
+from ..tracing import refuse_traced
 from .errors import SceneFileError
 from .levels import refuse_levels
 from .limits import MAX_PIXELS, read_bounded
@@ -102,11 +103,13 @@ def write_image(path: str | Path, image: Any, *, bits: int = 8) -> None:
         bits: 8 or 16 a component, of a PNG.
 
     Raises:
-        ValueError: a shape, a suffix or a number (NaN) that cannot be written; levels of 8 or 16 bits for numbers.
+        ValueError: a shape, a suffix or a number (NaN) that cannot be written; levels of 8 or 16 bits for numbers;
+            traced arrays.
         ImportError: it needs OpenImageIO, which is not installed.
         OSError: the folder does not exist, or the system refuses.
     """
     path = Path(path)
+    refuse_traced("write_image", image)
     refuse_levels(str(path), image)
     pixels = np.asarray(image, dtype=np.float64)
     pixels = pixels[:, :, None] if pixels.ndim == 2 else pixels

@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 
 from ..scene import Scene, nodes
+from ..tracing import refuse_traced
 from .changes import changed_nodes, updated_children
 from .safe_write import check_place, written_whole
 from .texture_files import TexturePlan, named_files, texture_url
@@ -30,11 +31,12 @@ def save(scene: Scene, path: str | Path) -> None:
 
     Raises:
         ValueError: another suffix; a value out of its field's range; one node used several times (USE) whose rows now
-            differ; a change that no field of the file can hold.
+            differ; a change that no field of the file can hold; traced numbers.
         OSError: the folder of `path` does not exist, or the system refuses.
     """
     if not isinstance(scene, Scene):
         raise ValueError(f"save: scene: expected a Scene, got {type(scene).__name__}")
+    refuse_traced("save", scene)
     path = Path(path)
     if path.suffix.lower() != ".x3d":
         raise ValueError(f"{path}: expected a name that ends in .x3d, the one format that is written")

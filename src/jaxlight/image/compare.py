@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..formats.levels import is_chosen
+from ..tracing import refuse_traced
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,8 +53,9 @@ def compare(image: Any, reference: Any, mask: Any = None, *, peak: float = 1.0) 
 
     Raises:
         ValueError: shapes that differ, a mask that leaves nothing, a compared value that is not finite, a `peak`
-            that is not > 0.
+            that is not > 0; traced arrays.
     """
+    refuse_traced("compare", image, reference, mask)
     if not isinstance(peak, (int, float, np.integer, np.floating)) or not 0 < peak < math.inf:
         raise ValueError(f"compare: peak: expected a finite number > 0, got {peak!r:.60}")
     a, b = _image("image", image), _image("reference", reference)

@@ -11,7 +11,7 @@ import numpy as np
 from ..raster.samples import SampleBuffer
 from ..scene import Scene
 from ..scene.checks import check_scene
-from .compiling import is_traced
+from ..tracing import is_traced
 
 _within: WeakValueDictionary[tuple, jax.Array] = WeakValueDictionary()
 """Texel indices that are right, by identity, runs and sizes of textures: they never change, and are read again."""

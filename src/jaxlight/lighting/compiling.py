@@ -12,10 +12,9 @@ from typing import Any, TypeVar, cast
 
 import equinox as eqx
 import jax
-from jax.core import Tracer, eval_context
-from jax.extend.core import get_opaque_trace_state
 
 from ..processor import for_cpu
+from ..tracing import is_traced
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -36,10 +35,6 @@ _ONE_FUNCTION = "small-while-loop-hoisting"
 
 _SHARED_OUT = "cpu-parallel-task-assigner"
 """Shares out loops of a few microseconds among cores, where to wait for another core takes longer."""
-
-with eval_context():
-    _OUTSIDE = get_opaque_trace_state()
-    """The state in which nothing is traced."""
 
 
 @functools.cache
@@ -73,12 +68,6 @@ def compiler_options(*, all_cores: bool = False) -> dict[str, Any]:
             four lights and in gradients under some dozens; in others the cores wait for each other.
     """
     return dict(cpu_options(all_cores=all_cores)) if for_cpu() else {}
-
-
-def is_traced(*arguments: Any) -> bool:
-    """Whether arguments are traced, or what calls this is: a jit or loop may know what it is not given."""
-    leaves = jax.tree.leaves(arguments)
-    return get_opaque_trace_state() != _OUTSIDE or any(isinstance(leaf, Tracer) for leaf in leaves)
 
 
 def _once(make: Callable[[], _Function]) -> Callable[[], _Function]:

@@ -14,9 +14,10 @@ from jaxtyping import Array, Float, Int
 from ..promotion import usual_promotion
 from ..raster.samples import SampleBuffer
 from ..scene import Scene
+from ..tracing import is_traced
 from .changes import moves, with_change, without_zeros
 from .checks import check_samples
-from .compiling import is_traced, jit_on_cpu
+from .compiling import jit_on_cpu
 from .cores import in_threads, shares_of
 from .in_shard_map import axes_of, unaware, varying
 from .mapped import mapped_axis_first
