@@ -103,6 +103,28 @@ def test_an_exr_of_many_channels_is_read_in_those_of_its_picture(tmp_path: Path)
     np.testing.assert_array_equal(read_image(tmp_path / "a.exr"), np.full((2, 2, 3), 0.5))
 
 
+@pytest.mark.parametrize(
+    ("names", "read"),
+    [
+        (("diffuse.R", "diffuse.G", "diffuse.B", "specular.R", "specular.G", "specular.B"), (0, 1, 2)),
+        (("Z", "albedo.A", "albedo.B", "albedo.G", "albedo.R"), (4, 3, 2, 1)),
+        (("motion.R", "motion.G", "normal.X", "normal.Y", "normal.Z"), (0, 1)),
+    ],
+)
+def test_an_exr_of_layers_is_read_in_the_first_of_them(
+    tmp_path: Path, names: tuple[str, ...], read: tuple[int, ...]
+) -> None:
+    library = pytest.importorskip("OpenImageIO")
+    spec = library.ImageSpec(2, 2, len(names), "float")
+    spec.channelnames = names
+    pixels = np.tile(np.arange(len(names), dtype=np.float32), (2, 2, 1))
+    file = library.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert file.open(str(tmp_path / "a.exr"), spec) and file.write_image(pixels)
+    file.close()
+    image = read_image(tmp_path / "a.exr")
+    np.testing.assert_array_equal(image[0, 0], read)
+
+
 def test_jpeg_is_close_and_has_no_alpha(tmp_path: Path) -> None:
     ramp = np.linspace(0, 1, 32)[None, :, None] * np.ones((32, 1, 3))
     write_image(tmp_path / "a.jpg", ramp)
@@ -125,23 +147,73 @@ def test_a_transparent_palette_color_is_alpha(tmp_path: Path) -> None:
     assert np.rint(read_image(tmp_path / "a.png") * 255).tolist() == [[[10, 20, 30, 0]]]
 
 
-def test_a_cameras_rotation_mark_is_obeyed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("mark", range(1, 9))
+def test_a_cameras_rotation_mark_is_obeyed(tmp_path: Path, mark: int) -> None:
+    """By Exif: where the first row and the first column of the file are seen."""
+    seen = np.arange(6)[:, None].reshape(2, 3, 1).repeat(3, axis=2) * 10
+    stored = seen if mark < 5 else seen.swapaxes(0, 1)  # the first row is then a column that is seen
+    stored = stored[:: -1 if mark in (3, 4, 6, 7) else 1, :: -1 if mark in (2, 3, 7, 8) else 1]
     exif = Image.Exif()
-    exif[274] = 6  # turn clockwise to view
-    Image.fromarray(np.array([[0, 255]], dtype=np.uint8)).save(tmp_path / "a.png", exif=exif)
-    assert read_image(tmp_path / "a.png").tolist() == [[[0]], [[1]]]
+    exif[274] = mark
+    Image.fromarray(stored.astype(np.uint8)).save(tmp_path / "a.png", exif=exif)
+    np.testing.assert_array_equal(np.rint(read_image(tmp_path / "a.png") * 255), seen)
+    pytest.importorskip("OpenImageIO")
+    write_image(tmp_path / "deep.png", stored / 65535, bits=16)
+    plain = (tmp_path / "deep.png").read_bytes()
+    header = len(PNG_START) + 25
+    marked = plain[:header] + png_chunk(b"eXIf", exif.tobytes().removeprefix(b"Exif\0\0")) + plain[header:]
+    (tmp_path / "deep.png").write_bytes(marked)
+    np.testing.assert_array_equal(np.rint(read_image(tmp_path / "deep.png") * 65535), seen)
+
+
+PNG_START = b"\x89PNG\r\n\x1a\n"
+
+
+def png_chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+@pytest.mark.parametrize(("depth", "row", "levels"), [(1, 0x40, [0, 1]), (2, 0x1B, [0, 1, 2, 3]), (4, 0x5A, [5, 10])])
+def test_the_transparent_grey_of_a_png_of_few_bits_has_alpha_0(
+    tmp_path: Path, depth: int, row: int, levels: list[int]
+) -> None:
+    """PNG 11.3.2: its level is one of the file's."""
+    for clear in levels:
+        size = png_chunk(b"IHDR", struct.pack(">IIBBBBB", len(levels), 1, depth, 0, 0, 0, 0))
+        pixels = png_chunk(b"IDAT", zlib.compress(bytes([0, row]))) + png_chunk(b"IEND", b"")
+        (tmp_path / "a.png").write_bytes(PNG_START + size + png_chunk(b"tRNS", struct.pack(">H", clear)) + pixels)
+        grey = np.array(levels)
+        expected = np.stack([grey / (2**depth - 1), grey != clear], axis=-1)
+        np.testing.assert_allclose(read_image(tmp_path / "a.png")[0], expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("components", [3, 4])
+def test_a_tiff_of_16_bits_keeps_them(tmp_path: Path, components: int) -> None:
+    library = pytest.importorskip("OpenImageIO")
+    pixels = np.random.default_rng(components).integers(0, 2**16, (3, 4, components)).astype(np.uint16)
+    spec = library.ImageSpec(4, 3, components, "uint16")
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    file = library.ImageOutput.create(str(tmp_path / "a.tif"))
+    assert file.open(str(tmp_path / "a.tif"), spec) and file.write_image(pixels)
+    file.close()
+    np.testing.assert_allclose(read_image(tmp_path / "a.tif"), pixels / 65535, atol=1e-7)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_tiff_in_which_0_is_white_is_no_negative(tmp_path: Path, bits: int) -> None:
+    levels = np.array([[0, 1, 2**bits - 1]])
+    data = levels.astype(f"<u{bits // 8}").tobytes()
+    tags = ((256, 3), (257, 1), (258, bits), (259, 1), (262, 0), (273, 8), (277, 1), (278, 1), (279, len(data)))
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags)
+    head = struct.pack("<2sHI", b"II", 42, 8 + len(data))
+    (tmp_path / "a.tif").write_bytes(head + data + struct.pack("<H", len(tags)) + entries + b"\0" * 4)
+    np.testing.assert_allclose(read_image(tmp_path / "a.tif")[:, :, 0], 1 - levels / (2**bits - 1), atol=1e-15)
 
 
 def png_of_size(width: int, height: int) -> bytes:
     """A PNG that announces a size and holds no such data."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    return (
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"\0" * 100)) + chunk(b"IEND", b"")
-    )
+    header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    return PNG_START + header + png_chunk(b"IDAT", zlib.compress(b"\0" * 100)) + png_chunk(b"IEND", b"")
 
 
 @pytest.mark.parametrize(

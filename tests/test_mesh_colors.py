@@ -95,3 +95,45 @@ def test_face_colors_are_kept(tmp_path: Path) -> None:
     (shape,) = shapes_of(tmp_path / "faces.ply")
     assert isinstance(shape.geometry, n.IndexedFaceSet) and not shape.geometry.color_per_vertex
     assert shape.geometry.color.color.tolist() == [[1, 0, 0], [0, 0, 1]]
+
+
+@pytest.mark.parametrize("material", ["", "usemtl none\n", "mtllib a.mtl\nusemtl red\n"])
+def test_colors_of_an_obj_keep_all_their_digits(tmp_path: Path, material: str) -> None:
+    colors = [[0.5, 0.25, 0.1], [0.123456, 0.2, 0.3], [0, 0, 1]]
+    (tmp_path / "a.mtl").write_text("newmtl red\nKd 1 0 0\n")
+    vertices = "".join(f"v {place} {' '.join(map(str, own))}\n" for place, own in zip(PLACES, colors, strict=True))
+    (tmp_path / "a.obj").write_text(f"{vertices}f 3 2 1\n{material}f 1 2 3\n")
+    shapes = shapes_of(tmp_path / "a.obj")
+    assert len(shapes) == 1 + bool(material)
+    for shape in shapes:
+        assert sorted(shape.geometry.color.color.tolist()) == sorted(colors)
+    assert {shape.appearance.material.diffuse_color for shape in shapes} == (
+        {(0.8, 0.8, 0.8), (1, 0, 0)} if "red" in material else {(0.8, 0.8, 0.8)}
+    )
+
+
+PLACES = ("0 0 0", "1 0 0", "0 1 0")
+
+
+@pytest.mark.parametrize(
+    ("materials", "opaque"),
+    [(None, True), ([{}], True), ([{"alphaMode": "OPAQUE"}], True), ([{"alphaMode": "BLEND"}], False)],
+)
+def test_alpha_of_glb_colors_is_read_unless_the_material_is_opaque(
+    tmp_path: Path, materials: list | None, opaque: bool
+) -> None:
+    """glTF 3.9.6; without a material there is the default one (3.7.2.1), opaque and seen from one side."""
+    mesh = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
+    mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.full((3, 4), 64, np.uint8))
+
+    def change(header: dict) -> None:
+        primitive = header["meshes"][0]["primitives"][0]
+        primitive.pop("material", None)
+        header.pop("materials", None)
+        if materials is not None:
+            header["materials"], primitive["material"] = materials, 0
+
+    (tmp_path / "a.glb").write_bytes(rewritten(trimesh.Scene(mesh).export(file_type="glb"), change))
+    (shape,) = shapes_of(tmp_path / "a.glb")
+    assert type(shape.geometry.color) is (n.Color if opaque else n.ColorRGBA)
+    assert shape.geometry.solid

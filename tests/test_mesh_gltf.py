@@ -211,3 +211,19 @@ def test_a_texture_that_is_no_image_is_named(tmp_path: Path, glb: bytes, outside
     name = "wood.png" if outside else "glTF image 0"
     with pytest.warns(SceneFileWarning, match=f"1 file not used: '{name}': no image that can be read"):
         assert one_shape(tmp_path, rewritten(glb.replace(b"\x89PNG", b"\x88PNG"), change)).appearance.texture is None
+
+
+def test_primitives_that_share_numbers_are_bounded_together(
+    tmp_path: Path, glb: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each becomes a mesh of its own, for a few bytes of the header."""
+    for name, value in (("_MOST_ENTRIES", 10_000), ("_SHARED", 0.1)):
+        monkeypatch.setattr(f"jaxlight.formats.gltf_checks.{name}", value)
+
+    def repeated(header: dict) -> None:
+        header["meshes"][0]["primitives"] *= 2000
+
+    with pytest.raises(
+        SceneFileError, match=r"its primitives have \d+ entries of accessors; .* at most 10000 are read"
+    ):
+        one_shape(tmp_path, rewritten(glb, repeated))

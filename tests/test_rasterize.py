@@ -302,8 +302,10 @@ def test_a_shape_used_again_and_again_may_not_become_too_many_triangles() -> Non
     corners = np.random.default_rng(0).normal(size=(300_000, 3))
     many = shape(nodes.TriangleSet(coord=nodes.Coordinate(point=corners)))
     scene = Scene.from_nodes([nodes.Group(children=[nodes.Group(children=[many] * 20)] * 20)])
-    with pytest.raises(ValueError, match=r"rasterize: .*more than 33554432 triangles.*336 of 400 placed shapes"):
+    with pytest.raises(ValueError, match=r"^the scene has more than 33554432 triangles.*336 of 400 placed shapes"):
         rasterize(scene, VIEW, 8, 8)
+    with pytest.raises(ValueError, match=r"^the scene has more than 33554432 triangles.*336 of 400 placed shapes"):
+        Camera.view_all(scene)
 
 
 def test_sizes_may_be_numbers_of_numpy() -> None:

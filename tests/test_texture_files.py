@@ -316,3 +316,17 @@ def test_a_texture_built_in_python_is_found_again(tmp_path: Path, url: str) -> N
     save(Scene.from_nodes([n.Shape(appearance=n.Appearance(texture=texture), geometry=n.Box())]), tmp_path / "a.x3d")
     assert levels(load(tmp_path / "a.x3d")) == [0]
     assert read_image(tmp_path / "a%20b.png").ravel().tolist() == [200 / 255] * 3
+
+
+def test_a_texture_of_16_bits_that_did_not_change_keeps_them(tmp_path: Path) -> None:
+    grey = np.array([[0, 300], [30000, 65535]], np.uint16)
+    source, out = tmp_path / "source", tmp_path / "out"
+    source.mkdir()
+    out.mkdir()
+    Image.fromarray(grey).save(source / "a.png")
+    (source / "a.mtl").write_text("newmtl m\nmap_Kd a.png\n")
+    (source / "a.obj").write_text(
+        "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3\n"
+    )
+    save(load(source / "a.obj"), out / "a.x3d")
+    np.testing.assert_array_equal(read_image(out / "a.png")[:, :, 0], grey / 65535)

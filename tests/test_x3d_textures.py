@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxlight import SceneFileWarning, read_image
+from jaxlight import SceneFileWarning, load, read_image
 from jaxlight.formats import read_nodes
 from jaxlight.scene import nodes as n
 from x3d_text import x3d
@@ -86,3 +86,14 @@ def test_the_pixels_of_all_textures_are_bounded_together(tmp_path: Path, monkeyp
     there = [shape.appearance.texture.image is not None for shape in shapes]
     assert there == [True, True, True, False, False]
     assert decoded == ["a", "b", "c"]
+
+
+def test_nodes_of_one_picture_share_its_pixels(tmp_path: Path) -> None:
+    """Some bytes of a file must not cost the memory of a picture each."""
+    Image.new("RGB", (2, 1)).save(tmp_path / "a.png")
+    (tmp_path / "scene.x3d").write_text(x3d(TEXTURED.format("a.png").replace("/></Shape>", "/><Box/></Shape>") * 3))
+    scene = load(tmp_path / "scene.x3d")
+    assert len(scene.textures) == 3
+    assert len({id(texture.image) for texture in scene.textures}) == 1
+    assert len({id(node.image) for node in scene.document.textures}) == 1
+    assert not np.asarray(scene.document.textures[0].image).flags.writeable

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from PIL import Image
 
 from jaxlight import Scene, load, save
 from jaxlight.scene import nodes as n
@@ -91,6 +92,20 @@ def test_encoding_and_line_ends_stay(tmp_path: Path, encoding: str, newline: str
     path.write_bytes(text.encode(encoding))
     save(with_values(quietly(path), materials__shininess=[0.75]), path)
     assert path.read_bytes() == text.replace("shininess = '0.5'", "shininess = '0.75'").encode(encoding)
+
+
+def test_what_the_encoding_of_a_file_lacks_is_written_as_a_reference(tmp_path: Path) -> None:
+    """A url that its file writes so is shortened: in the new folder there is a strange picture of its first name."""
+    source, out = tmp_path / "source", tmp_path / "out"
+    source.mkdir()
+    out.mkdir()
+    Image.new("RGB", (1, 1)).save(out / "a.png")
+    url = "url='&quot;a.png&quot; &quot;&#x4E2D;.png&quot;'"
+    text = x3d(f"<Shape><Appearance><ImageTexture {url}/></Appearance><Box/></Shape>").replace("UTF-8", "iso-8859-1")
+    (source / "a.x3d").write_text(text)
+    save(quietly(source / "a.x3d"), out / "a.x3d")
+    assert "a.png" not in (out / "a.x3d").read_text()
+    assert quietly(out / "a.x3d").document.shapes[0].node.appearance.texture.url == ("\u4e2d.png",)
 
 
 def test_a_document_type_with_an_internal_subset_is_passed_over(tmp_path: Path) -> None:

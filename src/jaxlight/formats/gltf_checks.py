@@ -18,6 +18,8 @@ _LIGHTS = "KHR_lights_punctual"
 READ_EXTENSIONS = (UNLIT, SPECULAR_GLOSSINESS, TRANSFORM, "EXT_texture_webp")
 _SHARED = 4
 """Entries of accessors a byte of the file."""
+_MOST_ENTRIES = 2**24
+"""Of all primitives together, where primitives share accessors."""
 _COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _UNREAD_MODES = {2: "LINE_LOOP", 3: "LINE_STRIP", 6: "TRIANGLE_FAN"}
@@ -47,6 +49,14 @@ def check_header(path: Path, header: dict[str, Any], size: int, notes: ReadNotes
         _check_accessor(path, header, row, accessor)
     for row, mesh in enumerate(header.get("meshes", [])):
         _check_mesh(path, header, row, mesh, notes)
+    # A primitive becomes a mesh with numbers of its own, whatever it shares with others.
+    primitives = [primitive for mesh in header.get("meshes", []) for primitive in mesh["primitives"]]
+    entries = sum(counts[accessor] for primitive in primitives for accessor in _used(primitive))
+    if entries > max(_SHARED * size, _MOST_ENTRIES):
+        message = (
+            f"its primitives have {entries} entries of accessors; of {size} bytes at most {_MOST_ENTRIES} are read"
+        )
+        raise SceneFileError(path, None, message)
     for row, node in enumerate(header.get("nodes", [])):
         _check_node(path, header, row, node, notes)
     for row, scene in enumerate(header.get("scenes", [])):
@@ -82,13 +92,18 @@ def _check_mesh(path: Path, header: dict[str, Any], row: int, mesh: dict[str, An
         mode = primitive.get("mode", 4)
         if mode in _UNREAD_MODES:
             notes.skipped[f"glTF {_UNREAD_MODES[mode]}"] += 1
-        used = [*primitive["attributes"].values(), *([primitive["indices"]] if "indices" in primitive else [])]
+        used = _used(primitive)
         check_rows(path, f"mesh {row}", used, header, "accessors")
         for accessor in used:
             if "sparse" in header["accessors"][accessor]:
                 raise SceneFileError(path, None, f"glTF accessor {accessor} is sparse; jaxlight reads dense ones")
     if any(mesh.get("weights", ())):
         notes.unused["glTF weights of morph targets (read as 0)"] += 1
+
+
+def _used(primitive: dict[str, Any]) -> list[Any]:
+    """The accessors of a primitive."""
+    return [*primitive["attributes"].values(), *([primitive["indices"]] if "indices" in primitive else [])]
 
 
 def _check_node(path: Path, header: dict[str, Any], row: int, node: dict[str, Any], notes: ReadNotes) -> None:

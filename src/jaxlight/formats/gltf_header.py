@@ -46,6 +46,11 @@ class GltfMaterial:
         """True if the material takes no light."""
         return UNLIT in self.description.get("extensions", {})
 
+    @property
+    def is_opaque(self) -> bool:
+        """True if alpha, whatever it comes from, is not to be read."""
+        return self.description.get("alphaMode", "OPAQUE") == "OPAQUE"
+
     def texcoord(self, uv: np.ndarray) -> np.ndarray:
         """Texture coordinates [n, 2] (t up) after KHR_texture_transform, which is stated for t down: T R S, S first.
 

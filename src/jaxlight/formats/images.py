@@ -1,6 +1,7 @@
 """Image files <-> arrays of numbers as they stand in the file; what they mean (linear, sRGB) is the image stage's.
 
-PNG, JPEG, BMP, GIF, TIFF and WebP through Pillow; EXR and 16-bit colour PNG through OpenImageIO (extra `exr`).
+PNG, JPEG, BMP, GIF, TIFF and WebP through Pillow; EXR, and colour PNG and TIFF with 16 bits, of which Pillow keeps 8,
+through OpenImageIO (extra `exr`).
 """
 
 from __future__ import annotations
@@ -8,11 +9,13 @@ from __future__ import annotations
 import io
 import tempfile
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image, ImageOps
+from PIL.TiffImagePlugin import BITSPERSAMPLE, PHOTOMETRIC_INTERPRETATION, TiffImageFile
 
 from ..tracing import refuse_traced
 from .errors import SceneFileError
@@ -23,6 +26,19 @@ from .safe_write import written_whole
 
 _PILLOW_FORMATS = ("PNG", "JPEG", "BMP", "GIF", "TIFF", "WEBP")
 _MODES = {1: "L", 2: "LA", 3: "RGB", 4: "RGBA"}
+_CUT_MODES = ("RGB", "RGBA", "RGBX", "LA", "CMYK")
+"""Of which Pillow keeps 8 bits of 16."""
+_TURNED: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+    1: lambda pixels: pixels,
+    2: lambda pixels: pixels[:, ::-1],
+    3: lambda pixels: pixels[::-1, ::-1],
+    4: lambda pixels: pixels[::-1],
+    5: lambda pixels: pixels.swapaxes(0, 1),
+    6: lambda pixels: np.rot90(pixels, -1),
+    7: lambda pixels: pixels[::-1, ::-1].swapaxes(0, 1),
+    8: np.rot90,
+}
+"""By a camera's rotation mark (Exif 4.6.4, Orientation), the picture upright."""
 _PNG = b"\x89PNG\r\n\x1a\n"
 _EXR = b"\x76\x2f\x31\x01"
 
@@ -31,7 +47,7 @@ def read_image(path: str | Path) -> np.ndarray:
     """The pixels of an image file.
 
     Args:
-        path: PNG, JPEG, BMP, GIF, TIFF or WebP, 8 bits a component; PNG and grey TIFF with 16; EXR.
+        path: PNG, JPEG, BMP, GIF, TIFF or WebP, 8 bits a component; PNG and TIFF with 16; EXR.
 
     Returns:
         float64 [height, width, 1 to 4 components], row 0 at the top. Integers are divided by the largest one of their
@@ -48,13 +64,18 @@ def read_image(path: str | Path) -> np.ndarray:
 def decode_image(data: bytes, path: Path) -> np.ndarray:
     """As `read_image`, from the content of a file; `path` names it in messages."""
     if data.startswith(_EXR):
-        return _read_with_openimageio(data, path, "EXR")
+        return _read_with_openimageio(data, path, "EXR", ".exr")
     if data.startswith(_PNG) and data[24:25] == b"\x10" and data[25:26] in (b"\x02", b"\x04", b"\x06"):
-        return _read_with_openimageio(data, path, "16-bit colour PNG")
+        return _read_with_openimageio(data, path, "16-bit colour PNG", ".png")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's own word on large images; the limit here is ours
         try:
             with Image.open(io.BytesIO(data), formats=_PILLOW_FORMATS) as image:
+                if isinstance(image, TiffImageFile) and image.mode in _CUT_MODES and _bits(image) > 8:
+                    return _read_with_openimageio(data, path, f"{_bits(image)}-bit colour TIFF", ".tif")
+                if data.startswith(_PNG) and image.mode == "L" and isinstance(image.info.get("transparency"), int):
+                    # Of 2 or 4 bits Pillow scales the pixels to 8, but not the level that is transparent.
+                    image.info["transparency"] *= 255 // (2 ** min(data[24], 8) - 1)
                 return pixels_of(image, path)
         except SceneFileError:
             raise
@@ -72,10 +93,13 @@ def pixels_of(image: Image.Image, path: Path) -> np.ndarray:
     if image.mode == "I" and image.format != "PNG":
         raise SceneFileError(path, None, "whole numbers of 32 bits; 8 or 16 bits a component are read")
     image.load()
+    image_file = image
     clear = image.info.get("transparency")
     image = ImageOps.exif_transpose(image) or image
     if image.mode.startswith("I"):
         pixels, largest = np.array(image, dtype=np.float64), 65535.0
+        if isinstance(image_file, TiffImageFile) and image_file.tag_v2.get(PHOTOMETRIC_INTERPRETATION) == 0:
+            pixels = largest - pixels  # 0 is white, which Pillow obeys for 8 bits only
         if clear is not None:  # the level of what is transparent
             pixels = np.stack([pixels, np.where(pixels == clear, 0.0, largest)], axis=-1)
     elif image.mode == "F":
@@ -85,6 +109,11 @@ def pixels_of(image: Image.Image, path: Path) -> np.ndarray:
     pixels = np.atleast_3d(pixels)
     pixels /= largest  # in place: a large image is held once
     return pixels
+
+
+def _bits(image: TiffImageFile) -> int:
+    """The most bits that a component has."""
+    return max(image.tag_v2.get(BITSPERSAMPLE, (1,)))
 
 
 def _plain_mode(image: Image.Image) -> str:
@@ -151,10 +180,10 @@ def _openimageio(what: str) -> Any:
     return OpenImageIO
 
 
-def _read_with_openimageio(data: bytes, path: Path, what: str) -> np.ndarray:
+def _read_with_openimageio(data: bytes, path: Path, what: str, suffix: str) -> np.ndarray:
     library = _openimageio(f"{path}: reading {what}")
     with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / f"image{'.exr' if what == 'EXR' else '.png'}"
+        copy = Path(folder) / f"image{suffix}"
         copy.write_bytes(data)  # the library opens files only
         as_stored = library.ImageSpec()
         as_stored.attribute("oiio:UnassociatedAlpha", 1)  # no multiplication of colour by alpha
@@ -162,7 +191,8 @@ def _read_with_openimageio(data: bytes, path: Path, what: str) -> np.ndarray:
         if file is None:
             raise SceneFileError(path, None, f"not an image that can be read: {_first_line(library.geterror())}")
         try:
-            return _pixels_of_file(library, file, path)
+            upright = _TURNED.get(file.spec().get_int_attribute("Orientation", 1), _TURNED[1])
+            return upright(_pixels_of_file(library, file, path))
         finally:
             file.close()
 
@@ -195,9 +225,15 @@ def _first_line(message: str) -> str:
 
 
 def _color_channels(names: list[str]) -> list[int]:
-    """Which channels are the picture: R, G, B (and A) by name, otherwise the first four."""
-    named = [names.index(name) for name in "RGBA" if name in names]
-    return named if len(named) >= 3 else list(range(min(len(names), 4)))
+    """Which channels are the picture: R, G, B (and A) by name, of the first layer that has them; otherwise the first
+    four of the first layer."""
+    layers = list(dict.fromkeys(["", *(name.rpartition(".")[0] for name in names)]))
+    for layer in layers:
+        prefix = f"{layer}." if layer else ""
+        if all(f"{prefix}{color}" in names for color in "RGB"):
+            return [names.index(f"{prefix}{color}") for color in "RGBA" if f"{prefix}{color}" in names]
+    own = [row for row, name in enumerate(names) if name.rpartition(".")[0] == names[0].rpartition(".")[0]]
+    return own[:4]
 
 
 def _write_with_openimageio(draft: Path, pixels: np.ndarray, kind: str, path: Path) -> None:

@@ -27,15 +27,20 @@ class MeshFolder(Resolver):
         """By the names of the materials of an obj, their files."""
         self.refused: set[str] = set()
         """What could not be had."""
+        self.stand_ins: set[str] = set()
+        """Names of materials of an obj that stand for none."""
 
     def read_libraries(self, text: ObjText) -> None:
         """Read all material files that an obj names, and note the materials that none of them has."""
         found = list(self._all_to_be_had(text.libraries))
         library = joined_libraries(found, self._notes)
         self._library, self.textures = library.data, library.textures
-        for name in text.materials if found else ():
-            if name not in library.names:
-                self._notes.remarks.append(f"no material file has the material {name!r}")
+        missing = [name for name in text.materials if name not in library.names]
+        if found:
+            self._notes.remarks += [f"no material file has the material {name!r}" for name in missing]
+        if text.colored:
+            self.stand_ins = {text.bare, *missing}
+            self._library = b"\n".join([library.data, *(f"newmtl {name}".encode() for name in self.stand_ins)])
 
     def get(self, name: str) -> bytes:
         if name == LIBRARY:

@@ -116,8 +116,8 @@ class _MeshBuilder:
         """The appearance, and whether only the front of the faces is to be seen (only glTF says so)."""
         material = _material_of(mesh)
         described = self._gltf_material(mesh)
-        if material is None or _is_stand_in(material) or (described is not None and described.is_stand_in):
-            return nodes.Appearance(material=nodes.Material()), False
+        if material is None or self._is_stand_in(material) or (described is not None and described.is_stand_in):
+            return nodes.Appearance(material=nodes.Material()), self._gltf
         colored = described is not None and described.is_unlit and "color" in mesh.visual.vertex_attributes
         key = (id(material), colored)
         if key not in self._appearances:
@@ -127,6 +127,12 @@ class _MeshBuilder:
                 else self._from_gltf(material, described, colored=colored)
             )
         return self._appearances[key]
+
+    def _is_stand_in(self, material: Any) -> bool:
+        """True for what an obj is given where it has no material, and for the gray one that trimesh makes up for
+        texture coordinates without a material: no file is behind its image."""
+        image = getattr(material, "image", None)
+        return material.name in self._folder.stand_ins or (image is not None and image.format is None)
 
     def _gltf_material(self, mesh: Any) -> GltfMaterial | None:
         """What the header says about the material of a mesh; None for other formats, and without a material."""
@@ -144,11 +150,10 @@ class _MeshBuilder:
     def _from_gltf(self, material: Any, described: GltfMaterial, *, colored: bool) -> tuple[nodes.Appearance, bool]:
         description = described.description
         name = str(description.get("name", ""))
-        see_through = description.get("alphaMode", "OPAQUE") != "OPAQUE"
         repeats = (described.repeat_s, described.repeat_t)
         self._note_unread(material.baseColorTexture, described.image)
-        texture = self._texture(material.baseColorTexture, opaque=not see_through, repeats=repeats)
-        node: nodes.Material | None = material_from_gltf(name, description, see_through=see_through)
+        texture = self._texture(material.baseColorTexture, opaque=described.is_opaque, repeats=repeats)
+        node: nodes.Material | None = material_from_gltf(name, description, see_through=not described.is_opaque)
         if described.is_unlit:
             node = None if colored or texture is not None else unlit_material_from_gltf(name, description)
         return nodes.Appearance(material=node, texture=texture), not description.get("doubleSided", False)
@@ -194,12 +199,6 @@ def _material_of(mesh: Any) -> Any:
 def _url_of(image: Image.Image) -> str:
     """The file that an mtl names; empty for an image that stands in the mesh file."""
     return str(image.info.get("file_path", ""))
-
-
-def _is_stand_in(material: Any) -> bool:
-    """True for the gray material that trimesh makes up for texture coordinates without one: no file is behind it."""
-    image = getattr(material, "image", None)
-    return image is not None and image.format is None
 
 
 @contextlib.contextmanager

@@ -43,6 +43,10 @@ class ObjText(NamedTuple):
     data: bytes
     libraries: list[str]
     materials: list[str]
+    colored: bool
+    """Whether vertices have colours. trimesh keeps all their digits only where faces have a material."""
+    bare: str
+    """The name that faces without a material have where they need one."""
 
 
 def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> ObjText:
@@ -96,18 +100,21 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> ObjText:
                 raise SceneFileError(path, line, f"names more than {_MOST_LIBRARIES} material files")
         elif keyword in _SKIPPED:
             notes.skipped[f"obj {keyword}"] += 1
-    if sizes["v"] and min(sizes["v"]) < 6 <= max(sizes["v"]):
+    colored, bare = min(sizes["v"], default=0) >= 6, LIBRARY
+    while bare in faces:
+        bare += "/"
+    if not colored and max(sizes["v"], default=0) >= 6:
         notes.unused["obj colours of vertices, as not all have some"] += 1
     texts: list[str] = []
     for name, corners_of in faces.items():
         parsed = {corner: _parsed(path, line, corner, counts) for corner, line in first_line[name].items()}
-        texts += [f"usemtl {name}"] if name else []
+        texts += [f"usemtl {name or bare}"] if name or colored else []
         convex = _cut(path, corners_of, parsed, np.frombuffer(positions).reshape(-1, 3), name)
         texts += _alike(convex, parsed, counts["vt"] + 1, name, notes)
     origin = ["vt 0 0"] if notes.simplified[_FILLED] else []
-    named = [f"mtllib {LIBRARY}"] if libraries else []
+    named = [f"mtllib {LIBRARY}"] if libraries or colored else []
     data = "\n".join([*named, *vertices, *origin, *texts]).encode()
-    return ObjText(data, list(libraries), [name for name in faces if name])
+    return ObjText(data, list(libraries), [name for name in faces if name], colored, bare)
 
 
 def _lines(text: str) -> list[str]:

@@ -14,6 +14,7 @@ import os
 import urllib.parse
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -127,7 +128,7 @@ class TexturePlan:
             with written_whole(target) as draft:
                 draft.write_bytes(read_bounded(origin))
         for target, image in self._images.items():
-            write_image(target, np.flipud(image))
+            write_image(target, np.flipud(image), bits=_bits_of(image))
 
     def _is_shown(self, place: Path) -> bool:
         """Whether a reader of the scene would take what is or will be there, and look no further."""
@@ -222,12 +223,20 @@ def _is_image(path: Path) -> bool:
 
 
 def _holds(path: Path, image: np.ndarray) -> bool:
-    """True if the file has these texels, to 8 bits."""
+    """True if the file has these texels, to as many bits as they would be written with."""
     try:
         found = np.flipud(read_image(path))
     except (ValueError, ImportError):
         return False
-    return found.shape == image.shape and np.array_equal(quantize(found), quantize(image))
+    bits = _bits_of(image)
+    return found.shape == image.shape and np.array_equal(quantize(found, bits), quantize(image, bits))
+
+
+def _bits_of(image: np.ndarray) -> Literal[8, 16]:
+    """16 for texels that are levels of 16 bits, as those of a file that had so many; 8 for all others."""
+    if np.array_equal(quantize(image) / 255, image):
+        return 8
+    return 16 if np.array_equal(quantize(image, 16) / 65535, image) else 8
 
 
 def named_files(scene_path: Path, everything: Iterable[nodes.Node]) -> set[Path]:

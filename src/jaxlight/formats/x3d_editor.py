@@ -40,7 +40,8 @@ def with_attributes(path: Path, data: bytes, edits: dict[int, dict[str, str]]) -
             parts += [text[end : match.start("attributes")], _edited(match["attributes"], edits[number])]
             end = match.end("attributes")
         number += 1
-    edited = "".join([*parts, text[end:]]).encode(codec)
+    # What the file's encoding does not hold is written as a reference to the character.
+    edited = "".join([*parts, text[end:]]).encode(codec, "xmlcharrefreplace")
     if text.encode(codec) != data or not _differs_only_by(path, data, edited, edits):
         raise ValueError(f"{path}: its text cannot be changed in place")
     return edited

@@ -62,7 +62,7 @@ class TextureReader:
             ValueError: it cannot be decoded, or the scene has too many pixels; says why.
         """
         self._take(image.width * image.height)
-        return np.flipud(pixels_of(image, path))
+        return _fixed(np.flipud(pixels_of(image, path)))
 
     def _take(self, pixels: int) -> None:
         """Take pixels from those that the scene may have; an error from the moment on that there are not enough."""
@@ -74,15 +74,21 @@ class TextureReader:
         key = url if url.startswith("data:") else self.folder.find(url)
         if key not in self._read:
             self._take(0)
-            image = np.flipud(_decode_data_url(key) if isinstance(key, str) else read_image(key))
+            image = _fixed(np.flipud(_decode_data_url(key) if isinstance(key, str) else read_image(key)))
             self._take(image.shape[0] * image.shape[1])
             if not np.all(np.isfinite(image)):
                 raise ValueError(f"{url[:60]!r} holds numbers that are not finite")
             was_clamped = bool(image.min() < 0 or image.max() > 1)
-            pixels = np.clip(image, 0, 1) if was_clamped else image
-            pixels.setflags(write=False)
+            pixels = _fixed(np.clip(image, 0, 1)) if was_clamped else image
             self._read[key] = TextureImage(pixels, was_clamped, key if isinstance(key, Path) else None)
         return self._read[key]
+
+
+def _fixed(pixels: np.ndarray) -> np.ndarray:
+    """An array of their own, which nodes share."""
+    own = pixels if pixels.flags.owndata else pixels.copy()
+    own.setflags(write=False)
+    return own
 
 
 def _decode_data_url(url: str) -> np.ndarray:

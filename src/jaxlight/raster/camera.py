@@ -13,7 +13,7 @@ from ..scene.document import PlacedViewpoint
 from ..scene.fields import number, whole
 from ..scene.transforms import IDENTITY, apply_to_points, rotation_matrix
 from .pattern import sample_pattern
-from .shapes import geometry_of, world_bounds
+from .shapes import geometries_of, world_bounds
 
 DEFAULT_VIEWPOINT = nodes.Viewpoint()
 """What X3D 23.3.1 binds when a file has no Viewpoint: at (0, 0, 10), looking along -z."""
@@ -239,12 +239,9 @@ class Camera:
 def bounding_sphere(scene: Scene) -> tuple[np.ndarray, float] | None:
     """Centre and radius of a sphere around the bounding box of all shapes, world space; None without geometry."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    known: dict[int, Any] = {}
-    for placed in scene.document.shapes:
-        key = id(placed.node)
-        if key not in known:
-            known[key] = geometry_of(placed.node)
-        if (bounds := world_bounds(placed, known[key])) is not None:
+    shapes = scene.document.shapes
+    for placed, geometry in zip(shapes, geometries_of(shapes), strict=True):
+        if (bounds := world_bounds(placed, geometry)) is not None:
             low, high = np.minimum(low, bounds[0]), np.maximum(high, bounds[1])
     if np.any(low > high):
         return None

@@ -14,16 +14,13 @@ from ..scene.transforms import apply_to_normals, apply_to_points, compose, mirro
 from .camera import Camera
 from .face_depth import PreparedFaces, prepare_faces
 from .primitives import Primitive
-from .shapes import geometry_of, texture_transformed, world_bounds
+from .shapes import geometries_of, numbers_of, texture_transformed, world_bounds
 from .texels import bilinear_texels
 from .triangles import Triangles
 from .visibility import Prepared, prepare
 
 _CHUNK = 1 << 15
 """Samples whose attributes are worked out at a time."""
-
-MAX_TRIANGLES = 1 << 25
-"""Triangles and faces of all placed shapes together; a shape used again counts every time."""
 
 
 class Attributes(NamedTuple):
@@ -63,28 +60,13 @@ class PlacedShapes:
         """Every shape of a scene.
 
         Raises:
-            ValueError: a geometry has an index that does not fit, or lies too far away, or there are more than
-                MAX_TRIANGLES.
+            ValueError: a geometry has an index that does not fit, or lies too far away, or there are too many.
         """
-        known: dict[int, Triangles | Primitive] = {}
-        all_shapes, counts, total = [], [0], 0
         shapes = scene.document.shapes
-        for number, placed in enumerate(shapes, start=1):
-            key = id(placed.node)
-            if key not in known:
-                known[key] = geometry_of(placed.node)
-            own = known[key]
-            all_shapes.append(own)
-            counts.append(2 * len(own.faces) if isinstance(own, Primitive) else len(own))
-            total += counts[-1]
-            if total > MAX_TRIANGLES:
-                raise ValueError(
-                    f"rasterize: the scene has more than {MAX_TRIANGLES} triangles: {total} up to {placed.node.label}, "
-                    f"{number} of {len(shapes)} placed shapes (one used again counts every time)"
-                )
-        for placed, own in zip(shapes, all_shapes, strict=True):
+        geometry = geometries_of(shapes)
+        for placed, own in zip(shapes, geometry, strict=True):
             world_bounds(placed, own)  # refuses what lies too far away
-        return cls(scene, tuple(all_shapes), np.cumsum(counts))
+        return cls(scene, geometry, np.cumsum([0, *map(numbers_of, geometry)]))
 
     def prepared(self, camera: Camera, width: int, height: int) -> tuple[Prepared, PreparedFaces | None]:
         """The triangles and the faces as the rasteriser tests them."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,6 +17,36 @@ from .triangles import Triangles
 
 FARTHEST = 1e100
 """How far from the origin something may lie: the volumes and squares of what is nearer are finite."""
+
+
+MAX_TRIANGLES = 1 << 25
+"""Triangles and faces of all placed shapes together; a shape used again counts every time."""
+
+
+def geometries_of(shapes: Sequence[PlacedShape]) -> tuple[Triangles | Primitive, ...]:
+    """The geometry of every placed shape, in its own coordinates; shapes that are one node share it.
+
+    Raises:
+        ValueError: as `geometry_of`; there are more than MAX_TRIANGLES.
+    """
+    known: dict[int, Triangles | Primitive] = {}
+    total = 0
+    for number, placed in enumerate(shapes, start=1):
+        key = id(placed.node)
+        if key not in known:
+            known[key] = geometry_of(placed.node)
+        total += numbers_of(known[key])
+        if total > MAX_TRIANGLES:
+            raise ValueError(
+                f"the scene has more than {MAX_TRIANGLES} triangles: {total} up to {placed.node.label}, "
+                f"{number} of {len(shapes)} placed shapes (one used again counts every time)"
+            )
+    return tuple(known[id(placed.node)] for placed in shapes)
+
+
+def numbers_of(geometry: Triangles | Primitive) -> int:
+    """How many triangles or faces a geometry has; from inside a face is one more."""
+    return 2 * len(geometry.faces) if isinstance(geometry, Primitive) else len(geometry)
 
 
 def geometry_of(shape: nodes.Shape) -> Triangles | Primitive:

@@ -253,12 +253,15 @@ def index_list(where: str, value: Any) -> np.ndarray:
 
 
 def texture_image(where: str, value: Any) -> np.ndarray | None:
-    """None, or an image [height, width, 1 to 4 components] of values in [0, 1], row 0 at the bottom."""
+    """None, or an image [height, width, 1 to 4 components] of values in [0, 1], row 0 at the bottom.
+
+    What nobody can change is kept as it is: textures of one picture share it.
+    """
     if value is None:
         return None
     allowed = "an image of shape [height, width, 1 to 4] with values in [0, 1]"
     try:
-        array = np.array(value, dtype=np.float64)
+        array = value if _is_fixed(value) else np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise _refuse(where, value, allowed) from None
     if array.ndim != 3 or array.shape[2] not in (1, 2, 3, 4) or array.size == 0:
@@ -267,3 +270,10 @@ def texture_image(where: str, value: Any) -> np.ndarray | None:
         raise _refuse(where, array, allowed)
     array.setflags(write=False)
     return array
+
+
+def _is_fixed(value: Any) -> bool:
+    """Whether these are double-precision numbers of an array of their own that nobody writes to."""
+    if not isinstance(value, np.ndarray) or value.dtype != np.float64:
+        return False
+    return value.flags.owndata and not value.flags.writeable

@@ -159,7 +159,7 @@ def scene_from_nodes(children: nodes.Node | Sequence[nodes.Node], *, dtype: Any 
         point=stack.point(point),
         spot=stack.spot(spot),
         fog=stack.fog(*walk.fogs[0]) if walk.fogs else None,
-        textures=tuple(map(stack.texture, textures)),
+        textures=stack.textures(textures),
         surfaces=tuple(surface for surface, _ in surfaces),
         document=document,
     )
@@ -224,9 +224,16 @@ class _Stack:
         inverses = [np.linalg.inv(to_world[:, :3]) for _, to_world, _ in lights]
         return self.floats(inverses, lambda row: f"{lights[row][0].label}: the inverse of its frame")
 
-    def texture(self, node: nodes.ImageTexture | nodes.PixelTexture) -> Texture:
-        image: Any = node.image  # nodes without one are no textures of a scene
-        return Texture(self.floats(image, f"{node.label}.image"), node.name, image.shape[:2])
+    def textures(self, found: list[nodes.ImageTexture | nodes.PixelTexture]) -> tuple[Texture, ...]:
+        """One a node; those of one picture share its array."""
+        arrays: dict[int, Any] = {}
+        for node in found:
+            if id(node.image) not in arrays:
+                arrays[id(node.image)] = self.floats(node.image, f"{node.label}.image")
+        images: list[Any] = [node.image for node in found]  # nodes without one are no textures of a scene
+        return tuple(
+            Texture(arrays[id(image)], node.name, image.shape[:2]) for node, image in zip(found, images, strict=True)
+        )
 
     def materials(self, rows: list[nodes.Material]) -> Materials | None:
         if not rows:
