@@ -23,6 +23,18 @@ def test_a_scene_without_lights_is_lit_along_the_view(eye: tuple[float, float, f
     np.testing.assert_allclose(np.asarray(shade(scene, samples))[:, :3], expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("dtype", ["float32", "bfloat16", "float16"])
+def test_its_direction_has_length_one_whatever_the_rotation_is_rounded_to(dtype: str) -> None:
+    """Exact for the samples as they are stored, whose numbers are widened before anything is computed."""
+    scene = Scene.from_nodes([BALL])
+    samples = rasterize(scene, Camera.look_at((1.0, 2.0, 4.0), (0, 0, 0), up=(0.3, 1, 0)), 24, 24, dtype=dtype)
+    towards = np.asarray(samples.camera_to_world, np.float64) @ [0, 0, 1]
+    normal = np.asarray(samples.normal, np.float64)
+    cosine = normal @ towards / np.linalg.norm(towards) / np.linalg.norm(normal, axis=1)
+    got = np.asarray(shade(scene, samples))[:, 2]
+    np.testing.assert_allclose(got, np.maximum(cosine, 0), atol=3e-7)
+
+
 @pytest.mark.parametrize(
     "other",
     [nodes.NavigationInfo(headlight=False), nodes.PointLight(on=False), nodes.DirectionalLight(color=(0, 0, 0))],

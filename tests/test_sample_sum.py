@@ -126,3 +126,12 @@ def test_what_does_not_fit_is_named() -> None:
         sum_over_samples(jnp.sum, scene, samples)
     with pytest.raises(ValueError, match="plan: expected a Plan, got int"):
         sum_over_samples(lambda color: color, scene, samples, plan=3)  # type: ignore[arg-type]  # what is tested
+
+
+def test_an_infinite_sum_stays_one_when_it_is_differentiated() -> None:
+    scene, samples, _ = two_surfaces(np.float32)
+
+    def loss(scene: Scene) -> jax.Array:
+        return sum_over_samples(lambda color: 1e38 + color[0], scene, samples)
+
+    assert loss(scene) == jax.value_and_grad(loss)(scene)[0] == np.inf

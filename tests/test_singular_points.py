@@ -9,6 +9,7 @@ import dataclasses
 import functools
 from collections.abc import Iterator, Sequence
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +20,7 @@ from mpmath import mp, mpf
 import answers
 from answers import Mode
 from cases_to_scenes import structure
+from jaxlight import SampleBuffer, Scene, nodes, shade
 from jaxlight.lighting import elementary, factors, highlight
 from jaxlight.lighting.vectors import Vector, unit
 from oracle.adversarial import FAMILIES, adversarial_cases
@@ -325,3 +327,14 @@ def test_fog_at_before_and_beyond_the_visibility(fog, visibility: float) -> None
         slopes = jax.grad(lambda d, v: fog(d, v)[0], argnums=(0, 1))(jnp.float32(d), jnp.float32(visibility))
         assert np.isfinite(slopes).all()
         assert slopes[0] <= 0 <= slopes[1]
+
+
+@pytest.mark.parametrize("kind", ["LINEAR", "EXPONENTIAL"])
+def test_fog_that_is_endlessly_far_away_hides_nothing(kind: str) -> None:
+    ball = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()), geometry=nodes.Sphere())
+    sun, sample = nodes.DirectionalLight(ambient_intensity=1), SampleBuffer.create([[0, 0, 1]], [[0, 0, 1]], [0, 0, 5])
+    fogged = Scene.from_nodes([ball, sun, nodes.Fog(visibility_range=1, fog_type=kind, color=(1, 0, 0))])
+    endless = eqx.tree_at(lambda scene: scene.fog.visibility_range, fogged, jnp.float32(np.inf))
+    value, slopes = jax.value_and_grad(lambda scene: jnp.sum(shade(scene, sample)))(endless)
+    assert value == jnp.sum(shade(Scene.from_nodes([ball, sun]), sample))
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(slopes))

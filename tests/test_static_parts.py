@@ -95,6 +95,33 @@ def test_a_plan_serves_other_numbers() -> None:
     np.testing.assert_allclose(shade(moved, SAMPLE, plan=plan), shade(moved, SAMPLE), rtol=1e-6)
 
 
+@pytest.mark.parametrize("far", [False, True])
+def test_a_plan_by_where_samples_lie_is_refused_elsewhere(far: bool) -> None:
+    """A light of radius 6 reaches all samples near it, and none far away: its radius, or the light, is left out."""
+    scene = scene_of(nodes.PointLight(location=(0, 0, 5), radius=6))
+    near, away = (SampleBuffer.create([[0, 0, z]], [[0, 0, 1.0]], [0, 0, 9.0]) for z in (0.0, -20.0))
+    own, other = (away, near) if far else (near, away)
+    plan = make_plan(scene, own)
+    np.testing.assert_array_equal(shade(scene, own, plan=plan), shade(scene, own))
+    moved = own.with_rows(position=other.position)
+    for shaded in (
+        lambda: shade(scene, other, plan=plan),
+        lambda: shade(scene, moved, plan=plan),
+        lambda: jax.jit(lambda scene: shade(scene, other, plan=plan))(dataclasses.replace(scene, document=None)),
+        lambda: sum_over_samples(lambda color: color[0], scene, other, plan=plan),
+    ):
+        with pytest.raises(ValueError, match=r"plan: made for samples from \[0.0, .* make a plan for these"):
+            shaded()
+    free = make_plan(scene, own, free="PointLight[*].radius")
+    np.testing.assert_array_equal(shade(scene, other, plan=free), shade(scene, other))
+
+
+def test_a_plan_without_radii_serves_all_places() -> None:
+    away = SAMPLE.with_rows(position=np.full((1, 3), 30.0))
+    endless = scene_of(nodes.PointLight(radius=float("inf")), SUN)
+    np.testing.assert_array_equal(shade(endless, away, plan=make_plan(endless, SAMPLE)), shade(endless, away))
+
+
 @pytest.mark.parametrize("field", ["location", "radius", "attenuation", "intensity", "color"])
 def test_numbers_of_lights_that_are_none_are_refused(field: str) -> None:
     leaf = getattr(SCENE.point, field)
@@ -104,6 +131,17 @@ def test_numbers_of_lights_that_are_none_are_refused(field: str) -> None:
     off = dataclasses.replace(broken.point, on=Flags([False]))
     unlit = dataclasses.replace(broken, point=off)
     assert np.all(np.isfinite(shade(unlit, SAMPLE)))
+
+
+def test_texels_that_are_none_are_refused() -> None:
+    texture = nodes.ImageTexture(image=np.full((2, 2, 3), 0.5))
+    ball = nodes.Shape(appearance=nodes.Appearance(texture=texture), geometry=nodes.Sphere())
+    scene = Scene.from_nodes([ball, LAMP])
+    broken = eqx.tree_at(
+        lambda scene: scene.textures[0].image, scene, replace_fn=lambda image: image.at[0, 1].set(jnp.nan)
+    )
+    with pytest.raises(ValueError, match=r"Texture\[0\].image: every number must be finite, got NaN"):
+        shade(broken, SAMPLE)
 
 
 @pytest.mark.parametrize("name", ["position", "normal"])
@@ -117,6 +155,7 @@ def test_rows_are_finite_as_those_of_a_new_buffer(name: str, number: float) -> N
 STATIC: dict[str, tuple[dict[str, Any], str]] = {
     "row": ({"surfaces": (Surface("lit", 7),)}, r"surfaces\[0\].material: expected a row in \[0, 1\), got 7"),
     "kind": ({"surfaces": (Surface("Lit", 0),)}, r"surfaces\[0\].lighting: expected 'lit', .* got 'Lit'"),
+    "unlit": ({"surfaces": (Surface("unlit", 0),)}, r"surfaces\[0\].material: expected -1, got 0"),
     "texture": ({"surfaces": (Surface("lit", 0, 0),)}, r"surfaces\[0\].texture: expected a row in \[-1, 0\), got 0"),
     "scope": ({"surfaces": SCENE.surfaces * 2}, r"in_scope: expected Flags of shape \[2, 1\], got shape \[1, 1\]"),
     "fog": ({"fog": dataclasses.replace(SCENE.fog, fog_type="linear")}, "fog_type: expected 'LINEAR' or 'EXP"),

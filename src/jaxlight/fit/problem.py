@@ -190,7 +190,8 @@ def _planned(world: World, parameters: Parameters, view: ViewData, options: Ligh
     owners = {leaf.leaf for leaf in parameters.leaves if leaf.leaf is not None}
     owners |= {Leaf("Texture", "image", block.texture) for block in parameters.blocks}
     free = [leaf.get(scene) for leaf in owners if getattr(scene, leaf.attribute) is not None]
-    plan = make_plan(scene, view.samples, options, free=free)
+    # Without their bounds views share compiled code; their samples stay where they are.
+    plan = make_plan(scene, view.samples, options, free=free)._replace(within=None)
     return dataclasses.replace(view, plan=plan)
 
 

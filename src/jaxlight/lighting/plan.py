@@ -99,6 +99,9 @@ class Plan(NamedTuple):
     fog: FogPlan | None
     specular: bool
     emissive: bool
+    within: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    """Lowest and highest coordinates of the samples for which lights were left out, or their radius was, by where
+    the samples lie; None: nothing depends on it."""
 
     @property
     def lights(self) -> tuple[LightPlan | None, LightPlan | None, LightPlan | None]:
@@ -109,6 +112,19 @@ class Plan(NamedTuple):
     def culled(self) -> bool:
         """Whether of some lights those that reach a tile have to be found."""
         return any(lights is not None and lights.culled for lights in self.lights)
+
+
+def check_place(plan: Plan, samples: SampleBuffer) -> None:
+    """Raise ValueError for samples that lie outside of those that the plan was made for, as far as that is known."""
+    bounds = None if plan.within is None else _bounds(_Known(set()), samples)
+    if plan.within is None or bounds is None:
+        return
+    low, high = _box(bounds)
+    if np.any(np.less(low, plan.within[0])) or np.any(np.greater(high, plan.within[1])):
+        raise ValueError(
+            f"plan: made for samples from {list(plan.within[0])} to {list(plan.within[1])}, of which a light's radius "
+            f"reaches none or all; got samples from {list(low)} to {list(high)}: make a plan for these"
+        )
 
 
 def plan_of_lights(plan: Plan, rows: tuple[tuple[int, ...], ...], counts: tuple[int, ...]) -> Plan:
@@ -168,6 +184,9 @@ def make_plan(
 ) -> Plan:
     """The plan for a scene: what can be skipped without changing a value or a wanted derivative.
 
+    It is right for samples that lie where these do; others are refused where their places are known, and inside a jit
+    that is given them they are not.
+
     Args:
         scene: its known numbers decide.
         samples: their bounds decide which lights reach nothing; None: unknown.
@@ -192,12 +211,16 @@ def make_plan(
     ambient = materials is not None and not known.all_zero(materials.ambient_intensity)
     emissive = materials is not None and not known.all_zero(materials.emissive_color)
 
-    def light_plan(lights: DirectionalLights | PointLights | SpotLights | None) -> LightPlan | None:
+    def light_plan(lights: DirectionalLights | PointLights | SpotLights | None) -> tuple[LightPlan | None, bool]:
         if lights is None or not lit:
-            return None
+            return None, False
         return _light_plan(lights, known, options, ambient, bounds)
 
     local = options.support_level > 1
+    directional, point, spot = (
+        light_plan(scene.directional),
+        *(light_plan(lights) if local else (None, False) for lights in (scene.point, scene.spot)),
+    )
     fog = None
     if scene.fog is not None:
         visibility = known(scene.fog.visibility_range)
@@ -206,12 +229,13 @@ def make_plan(
     return Plan(
         made_for=Structure.of(scene),
         options=options,
-        directional=light_plan(scene.directional),
-        point=light_plan(scene.point) if local else None,
-        spot=light_plan(scene.spot) if local else None,
+        directional=directional[0],
+        point=point[0],
+        spot=spot[0],
         fog=fog,
         specular=specular,
         emissive=emissive,
+        within=_box(bounds) if bounds is not None and (point[1] or spot[1]) else None,
     )
 
 
@@ -241,8 +265,9 @@ def _light_plan(
     options: LightingOptions,
     ambient: bool,
     bounds: tuple[np.ndarray, np.ndarray] | None,
-) -> LightPlan | None:
-    """The plan for the lights of one kind, None if none of them can contribute."""
+) -> tuple[LightPlan | None, bool]:
+    """The plan for the lights of one kind, None if none of them can contribute, and whether it depends on where
+    samples lie."""
     scope = lights.in_scope.array
     directional = isinstance(lights, DirectionalLights)
     unscoped = directional and options.support_level < 3
@@ -258,16 +283,21 @@ def _light_plan(
         keep &= (intensity != 0) | ((ambient_intensity != 0) if ambient else False)
     frame = lights.frame
     reach = None if directional else _reach(lights, known, frame, bounds)
+    by_place = False
     if reach is not None:
+        by_place = not np.all(reach.some[keep])
         keep &= reach.some
     if not keep.any():
-        return None
-    reaches_all = reach is not None and bool(np.all(reach.all[keep]))
+        return None, by_place
+    reaches_all = False
+    if reach is not None:
+        reaches_all = bool(np.all(reach.all[keep]))
+        by_place |= reaches_all and not np.all(reach.endless[keep])
     if reach is None and not directional:
         reach = _reach(lights, known.at_present, frame, bounds)
     mostly = not isinstance(lights, SpotLights) and reach is not None and bool(np.mean(reach.share[keep]) > MOSTLY)
     attenuation = None if directional else _attenuation(lights, known, options, keep)
-    return LightPlan(
+    plan = LightPlan(
         rows=None if keep.all() else tuple(np.flatnonzero(keep).tolist()),
         headlight=directional and lights.headlight and bool(keep[-1]),
         frame=frame,
@@ -277,6 +307,7 @@ def _light_plan(
         radius=not directional and not reaches_all,
         culled=bool(keep.sum() >= MANY_LIGHTS) and not (directional or mostly),
     )
+    return plan, by_place
 
 
 def _attenuation(
@@ -300,6 +331,11 @@ def _bounds(known: _Known, samples: SampleBuffer) -> tuple[np.ndarray, np.ndarra
     return low.astype(np.float64), high.astype(np.float64)
 
 
+def _box(bounds: tuple[np.ndarray, np.ndarray]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Around all tiles."""
+    return tuple(bounds[0].min(axis=1).tolist()), tuple(bounds[1].max(axis=1).tolist())
+
+
 class _Reach(NamedTuple):
     """How far lights reach; [lights] each."""
 
@@ -309,6 +345,8 @@ class _Reach(NamedTuple):
     """Whether it surely encloses all."""
     share: np.ndarray
     """The share of tiles that it reaches."""
+    endless: np.ndarray
+    """Whether it has no end, and reaches all wherever they are."""
 
 
 def _reach(
@@ -336,6 +374,7 @@ def _reach(
         some=~(_nearest(center, low, high) - slack > radius),  # also where that is not known
         all=farthest + slack <= radius,
         share=np.mean(nearest <= radius[:, None], axis=1),
+        endless=np.isposinf(radius),
     )
 
 

@@ -22,7 +22,7 @@ from .cores import in_threads, shares_of
 from .in_shard_map import axes_of, unaware, varying
 from .mapped import mapped_axis_first
 from .options import LightingOptions
-from .plan import Plan, Structure, make_plan
+from .plan import Plan, Structure, check_place, make_plan
 from .prepared import compute_dtype, prepare
 from .tiles import (
     Share,
@@ -45,15 +45,16 @@ def shade(
         samples: N visible surface points.
         options: readings of the specification.
         plan: what to compute, from `make_plan`; default: decided here from the numbers that are known. It is right for
-            this scene with other numbers in place of those that were free when it was made.
+            this scene with other numbers in place of those that were free when it was made, and for samples that lie
+            where its own do.
 
     Returns:
         [N, 4]: red, green, blue as the equation gives them (not clamped, no transfer function), and alpha.
 
     Raises:
         ValueError: leaves of the scene that are not floating-point arrays of their shape, or hold NaN where that is
-            known; a plan that was made for another scene; samples that name a surface
-            the scene lacks, or lack a colour or texels that it asks for.
+            known; a plan that was made for another scene, or for samples elsewhere; samples that name a surface the
+            scene lacks, or lack a colour or texels that it asks for.
     """
     return _shade(_in_sample_order, scene, samples, options, plan)
 
@@ -133,7 +134,10 @@ def checked(
         pairs = zip(plan.made_for._fields, plan.made_for, Structure.of(scene), strict=True)
         differs = " and ".join(name for name, its, own in pairs if its != own)
         raise ValueError(f"plan: made for a scene with other {differs} (numbers may differ, what is static may not)")
-    return dataclasses.replace(scene, document=None), plan
+    else:
+        check_place(plan, samples)
+    # Plans that need the same terms share compiled code, wherever their samples lie.
+    return dataclasses.replace(scene, document=None), plan._replace(within=None)
 
 
 def _rows_of_runs(plan: Plan, scene: Scene, samples: SampleBuffer, share: Share | None) -> list[Array]:

@@ -34,7 +34,8 @@ def add_terms_in_row(carry: Carry, terms: tuple[Array, ...], row: Array | int) -
 
 def added_up(carry: Carry) -> tuple[Array, ...]:
     """The sums, rounded once."""
-    return tuple(a + b for a, b in zip(*carry, strict=True))
+    # Of an infinite sum the errors are NaN.
+    return tuple(jnp.where(jnp.isfinite(a), a + b, a) for a, b in zip(*carry, strict=True))
 
 
 def summed_on_lanes(values: Float[Array, "..."]) -> Float[Array, " lanes"]:

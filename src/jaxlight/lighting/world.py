@@ -110,7 +110,8 @@ def lights_in_world(
         towards = -world_direction(lights.direction)
         if plan.headlight and camera_to_world is not None:
             own = unit(Vector(*(a[-1] for a in planes(lights.direction))))[0]
-            aimed = -transform(matrix_of(camera_to_world.astype(dtype)), own)
+            # A rotation of few bits is none any more.
+            aimed = -unit(transform(matrix_of(camera_to_world.astype(dtype)), own))[0]
             towards = Vector(*(a.at[-1].set(b) for a, b in zip(towards, aimed, strict=True)))
         return WorldLights(color, intensity, ambient, towards, *(None,) * 9)
 
@@ -160,7 +161,8 @@ def fog_in_world(fog: Fog, plan: FogPlan, dtype: jnp.dtype) -> WorldFog:
     """The fog in the given float type, on one lane."""
     return WorldFog(
         as_plane(fog.color.astype(dtype)),
-        as_plane(fog.visibility_range.astype(dtype)),
+        # Without end, as far as there are numbers: quotients by infinity would be NaN.
+        jnp.minimum(as_plane(fog.visibility_range.astype(dtype)), jnp.finfo(dtype).max),
         None if plan.identity_frame else matrix_of(fog.to_local.astype(dtype)[None, None]),
     )
 

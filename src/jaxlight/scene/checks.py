@@ -27,6 +27,8 @@ _checked: WeakValueDictionary[int, Scene] = WeakValueDictionary()
 """Scenes that are right, by identity: they never change, and are shaded again and again."""
 _right_frames: WeakValueDictionary[tuple[int, str], Any] = WeakValueDictionary()
 """Matrices that are of the kind that `frame` states, by identity and kind: most scenes share them."""
+_right_images: WeakValueDictionary[int, Any] = WeakValueDictionary()
+"""Of textures that are right, by identity."""
 _UNEVEN = 0.02
 """How far from even the scale of a "similarity" may be: its numbers may be rounded to 8 bits."""
 
@@ -44,6 +46,7 @@ def check_scene(scene: Scene) -> None:
                 raise ValueError(f"scene: textures: expected a tuple of Texture, got {owner!r:.60}")
             for row, one in enumerate(owner):
                 _check_leaves(f"{kind}[{row}]", one)
+                _check_texels(f"{kind}[{row}]", one)
         elif owner is not None:
             if not isinstance(owner, _CLASSES[attribute]):
                 wanted = _CLASSES[attribute].__name__
@@ -109,6 +112,16 @@ def _check_numbers(kind: str, owner: Any) -> None:
             raise ValueError(f"{label}.{field}: every number must be finite, got NaN")
 
 
+def _check_texels(name: str, texture: Texture) -> None:
+    """No number of a texture that is known is NaN."""
+    image: Any = texture.image
+    if isinstance(image, Tracer) or _right_images.get(id(image)) is image:
+        return
+    if np.isnan(np.min(np.asarray(image), initial=0)):
+        raise ValueError(f"{name}.image: every number must be finite, got NaN")
+    _right_images[id(image)] = image
+
+
 def _check_flags(name: str, owner: Any, surfaces: int) -> None:
     """`on` and `in_scope` of lights."""
     count = len(owner.names)
@@ -123,10 +136,13 @@ def _check_flags(name: str, owner: Any, surfaces: int) -> None:
 def _check_surfaces(surfaces: tuple[Surface, ...], materials: int, textures: int) -> None:
     """They are of a known kind, and the rows that they name exist."""
     for row, surface in enumerate(surfaces):
-        lowest = -1 if surface.lighting == "unlit" else 0
+        if surface.lighting == "unlit":  # table 17.2 has no material
+            has_its_material, allowed_materials = surface.material == -1, "-1"
+        else:
+            has_its_material, allowed_materials = 0 <= surface.material < materials, f"a row in [0, {materials})"
         for field, is_right, allowed in (
             ("lighting", surface.lighting in ("lit", "unlit", "emissive"), "'lit', 'unlit' or 'emissive'"),
-            ("material", lowest <= surface.material < materials, f"a row in [{lowest}, {materials})"),
+            ("material", has_its_material, allowed_materials),
             ("texture", -1 <= surface.texture < textures, f"a row in [-1, {textures})"),
             ("color_components", surface.color_components in (0, 3, 4), "0, 3 or 4"),
         ):
