@@ -62,6 +62,28 @@ def test_other_minimisers_spare_a_fit_that_is_not_over(
     assert {path.name: path.read_bytes() for path in Path("fitted").iterdir()} == before
 
 
+@pytest.mark.parametrize("name", ["scene.x3d", "view_0.png", "report.html", "fit.json"])
+def test_files_that_no_fit_wrote_are_spared(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Names of results are names that people give to files of their own."""
+    monkeypatch.chdir(tmp_path)
+    Path("fitted").mkdir()
+    Path("ball.x3d").write_text(SCENE)
+    write_image("target.png", np.clip(sphere_picture(24), 0, 1))
+    Path("fitted", name).write_text("mine")
+    words = ["fit", "ball.x3d", "target.png", "--output", "fitted", "--free", "Material[body].diffuse_color"]
+    assert main(words) == 2
+    file = Path("fitted", name)
+    said = f"jaxlight: error: {file}: is there, and no log of a fit beside it; --overwrite replaces it\n"
+    assert capsys.readouterr().err == said
+    assert [path.name for path in Path("fitted").iterdir()] == [name] and file.read_text() == "mine"
+    if name == "scene.x3d":
+        assert main([*words, "--overwrite"]) == 0
+        assert main(words) == 0  # what a fit wrote, another replaces
+        assert file.read_text() != "mine"
+
+
 def test_start_values_are_counted_node_by_node() -> None:
     balls = [nodes.Appearance(material=nodes.Material()), nodes.Appearance(material=nodes.Material())]
     shapes = [nodes.Shape(appearance=one, geometry=nodes.Sphere()) for one in balls]

@@ -274,6 +274,7 @@ def test_a_prior_settles_what_the_picture_leaves_open() -> None:
         assert result.converged and result.value("PointLight[key].intensity") == pytest.approx(0.9, rel=1e-6)
         assert error(result, material(), key_light()) < 1e-6
         assert result.uncertainty.well_posed
+        assert result.message.endswith(f"residual RMS {result.rms:.3g}, priors included.")
 
 
 def test_tied_fields_share_their_value() -> None:
@@ -397,6 +398,8 @@ WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "scale in words": ({}, {"loss": "huber", "loss_scale": "a"}, "loss_scale: for the huber loss: expected a finite number > 0, got 'a'"),
     "options": ({}, {"options": "x"}, "options: expected LightingOptions, got str"),
     "prior": ({}, {"free": Free("Material[body].shininess", mean=0.2)}, "a prior mean needs a deviation"),
+    "a tie of means": ({}, {"free": Free("Material[body].diffuse_color", tied="all", mean=(0.1, 0.5, 0.9), deviation=1)}, "Material[body].diffuse_color: mean: expected one number where all are tied, got (0.1, 0.5, 0.9)"),
+    "a tie of deviations": ({}, {"free": Free("Material[body].diffuse_color", tied="all", deviation=(1, 1, 2))}, "Material[body].diffuse_color: deviation: expected one number where all are tied, got (1, 1, 2)"),
     "a tie of starts": ({}, {"free": Free("Material[body].diffuse_color", tied="all", upper=(1.0, 0.2, 1.0))}, "Material[body].diffuse_color.g starts at 0.5, outside its bounds [0, 0.2]"),
     "a tie to a start": ({}, {"free": Free(["PointLight[key].location.x", "View[0].exposure"], tied="all")}, "View[0].exposure, which is tied, starts at 0, outside its bounds [0.001, inf]"),
     "tie": ({}, {"free": Free(["Material[body].shininess", "Material[body].diffuse_color"], tied=True)}, "tied fields need the same number of components"),

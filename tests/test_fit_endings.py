@@ -52,6 +52,18 @@ def test_views_of_one_name_are_refused(names: tuple[str, str], said: str) -> Non
         fit(start(dtype), [view_of(name=name) for name in names], FREE)
 
 
+def test_a_view_whose_name_has_brackets_is_found_by_it() -> None:
+    """As pictures have that were stored twice; in patterns brackets mean one of several characters."""
+    views = [view_of(name=name) for name in ("photo [1]", "photo 1", "photo 2")]
+    found = []
+    with precision("float32") as dtype:
+        for path in ("View[photo [1]].exposure", "View[photo [12]].exposure"):
+            problem, description = make_problem(start(dtype), views, [path])
+            assert problem.parameters.few == len(description.labels)
+            found.append(list(description.labels))
+    assert found == [["View[photo [1]].exposure"], ["View[photo 1].exposure", "View[photo 2].exposure"]]
+
+
 def test_values_are_found_by_every_path_that_means_them() -> None:
     with precision("float32") as dtype:
         result = fit(start(dtype), view_of(), ["Material[body].diffuse_color", "View[0].exposure"], max_steps=1)

@@ -157,6 +157,21 @@ def test_numbers_at_a_bound_are_told_and_taken_as_known() -> None:
     assert f"{DIFFUSE}.r lies on its upper bound" in found.messages()
 
 
+def test_a_number_of_which_both_bounds_are_one_is_known() -> None:
+    """As if it were not free: its fit has the same errors, and nothing is traded for it."""
+    strength, value = "PointLight[key].intensity", key_light().intensity
+    pinned = Free(strength, lower=value, upper=value)
+    component = Free(DIFFUSE, lower=(0.5, 0, 0), upper=(0.5, 1, 1))
+    with precision("float64") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, noise=0.01))
+        scene = sphere_scene(body=material(diffuse_color=(0.5, 0.4, 0.3)), dtype=dtype)
+        alone, found, partly = (at_start(scene, view, free) for free in ([DIFFUSE], [DIFFUSE, pinned], [component]))
+    np.testing.assert_allclose(found.standard_error, [*alone.standard_error, 0], rtol=1e-9)
+    assert found.well_posed and found.at_bound == () and found.rank == 3
+    assert partly.standard_error[0] == 0 and np.all(partly.standard_error[1:] > 0)
+    assert not partly.hardly_seen
+
+
 @pytest.mark.parametrize(("bits", "levels"), [("float32", 0), ("float64", 255)])
 def test_an_ambiguity_is_named_where_one_of_its_numbers_lies_on_a_bound(bits: str, levels: int) -> None:
     """Whatever the rounding of the values, which the slope at the bound is made of."""
@@ -388,8 +403,12 @@ def test_errors_of_robust_losses_are_those_that_are_made(loss: Any, outliers: fl
         errors += np.where(random.uniform(size=errors.shape) < outliers, random.choice([-0.5, 0.5], errors.shape), 0)
         targets = jnp.asarray(clean + errors)
         values = np.asarray(fit_all(problem, targets).value)
-        stated = []
-        for target, found in zip(targets[:10], values, strict=False):
-            noisy = eqx.tree_at(lambda p: p.views[0].target, problem, target[None])
-            stated.append(uncertainty(noisy, description, found).standard_error)
-    np.testing.assert_allclose(np.mean(stated, axis=0) / np.std(values, axis=0), 1, atol=0.12)
+        # The same loss where the noise is stated: residuals and their scale are in units of it.
+        view = View(view.samples, view.target, noise=noise)
+        of_noise = make_problem(sphere_scene(dtype=dtype), view, free, loss=loss, loss_scale=1)
+        for own, described in ((problem, description), of_noise):
+            stated = []
+            for target, found in zip(targets[:10], values, strict=False):
+                noisy = eqx.tree_at(lambda p: p.views[0].target, own, target[None])
+                stated.append(uncertainty(noisy, described, found).standard_error)
+            np.testing.assert_allclose(np.mean(stated, axis=0) / np.std(values, axis=0), 1, atol=0.12)

@@ -51,11 +51,12 @@ class Fit:
     saturated: float | None = None
     """Numbers from here on are only known to be at least this (default: 1 for pictures of 8 or 16 bits)."""
     samples: int = 1
-    """Samples a pixel; pixels at the rim of a shape are then compared as they are covered."""
+    """Samples a pixel; pixels where shapes meet are then compared as they are covered. Those at the rim of what is
+    seen are left out: only a problem file says what is behind them (`background`)."""
     resume: bool = False
     """Carry on from the checkpoint in --output, to the same numbers as if the fit had never stopped."""
     overwrite: bool = False
-    """Begin anew where --output holds the checkpoint of a fit that is not over."""
+    """Begin anew where --output holds the checkpoint of a fit that is not over, or files that no fit wrote."""
     quiet: bool = False
     """No line for each step on stderr."""
     settings: Annotated[FitSettings, tyro.conf.arg(name="")] = dataclasses.field(default_factory=FitSettings)

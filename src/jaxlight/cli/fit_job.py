@@ -66,6 +66,8 @@ class FitJob:
             stage(f"reading {problem.scene}")
             scene = self._scene()
             spare(files_of_scene(problem.scene, scene), outputs(problem, folder))
+            if not self.overwrite:
+                self._spare_others(folder)
             stage("finding what is visible")
             views = make_views(problem, source, scene)
         from jaxlight import Free, fit
@@ -127,6 +129,13 @@ class FitJob:
             raise ValueError(f"{problem.output}: expected a folder, got a file")
         spare(input_files(problem), outputs(problem, problem.output))
         return problem.output
+
+    def _spare_others(self, folder: Path) -> None:
+        """Raise ValueError for a file of the name of a result where no fit has left its log."""
+        *results, log, _ = outputs(self.problem, folder)
+        strange = next((path for path in results if path.exists()), None)
+        if strange is not None and not log.exists():
+            raise ValueError(f"{strange}: is there, and no log of a fit beside it; --overwrite replaces it")
 
     def _scene(self) -> jaxlight.Scene:
         """The scene with its start values; every free path leads somewhere in it."""

@@ -117,7 +117,11 @@ def _exposure_rows(path: str, view_names: Sequence[str]) -> list[int]:
     rows = []
     if match:
         which = match[1]
-        rows = [i for i, name in enumerate(view_names) if which == "*" or (name and fnmatch.fnmatchcase(name, which))]
+        # Names may have brackets, which patterns have too.
+        rows = [i for i, name in enumerate(view_names) if name and name == which]
+        rows = rows or [
+            i for i, name in enumerate(view_names) if which == "*" or (name and fnmatch.fnmatchcase(name, which))
+        ]
         if not rows and which.isdecimal() and int(which) < len(view_names):
             rows = [int(which)]
     if not rows:

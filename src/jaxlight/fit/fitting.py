@@ -54,6 +54,7 @@ class Fit:
     labels: tuple[str, ...]
     loss: float
     rms: float
+    """Root mean square of the weighted residuals, as `Step.rms`."""
     outcome: Outcome
     message: str
     history: tuple[Step, ...]
@@ -108,7 +109,7 @@ class Fit:
         width = max((len(label) for label in self.labels), default=0)
         lower, upper = np.asarray(self.problem.parameters.lower), np.asarray(self.problem.parameters.upper)
         for i, (label, value) in enumerate(zip(self.labels, self.values, strict=True)):
-            at_bound = "  (at its bound)" if value in (lower[i], upper[i]) else ""
+            at_bound = "  (at its bound)" if lower[i] < upper[i] and value in (lower[i], upper[i]) else ""
             lines.append(f"  {label:<{width}}  {self.start[i]:>12.6g} -> {value:>12.6g}{at_bound}")
         for block in self.problem.parameters.blocks:
             height, breadth, _ = block.shape
@@ -240,7 +241,8 @@ def _fit_by(
     finite = made.outcome != "nonfinite"
     outcome: Outcome = ("converged" if converged else "max_steps") if finite else "nonfinite"
     ending = "Converged" if converged and finite else "Not converged"
-    message = f"{ending} by {type(method).__name__} in {steps} steps; residual RMS {made.rms:.3g}."
+    priors = ", priors included" if problem.parameters.has_priors else ""
+    message = f"{ending} by {type(method).__name__} in {steps} steps; residual RMS {made.rms:.3g}{priors}."
     made = dataclasses.replace(made, outcome=outcome, message=message)
     record.end(made.outcome, made.message, loss=made.loss, values=made.values)
     return made
@@ -310,7 +312,7 @@ def make_fit(
         loss=value,
         rms=rms,
         outcome=outcome,
-        message=message_of(outcome, state, history, rms, problem.loss_kind),
+        message=message_of(outcome, state, history, rms, problem.loss_kind, has_priors=problem.parameters.has_priors),
         history=tuple(history),
         problem=problem,
         description=description,

@@ -92,6 +92,8 @@ def free_parameters(
                 raise ValueError(f"free: {one.label} is named twice")
             value = catalogue.value(one)
             low, high = _bounds(request, one, component, value)
+            if request.tied == "all":
+                _check_one_prior(request, one)
             if request.tied and tie in first_of_row:
                 number = first_of_row[tie]
                 _check_inside(f"{one.label}, which is tied,", values[number], low, high)
@@ -262,6 +264,14 @@ def _check_inside(what: str, start: float, low: float, high: float) -> None:
     slack = 1e-6 * max(1.0, abs(start))
     if not low - slack <= start <= high + slack:
         raise ValueError(f"{what} starts at {start:g}, outside its bounds [{low:g}, {high:g}]")
+
+
+def _check_one_prior(request: Free, one: Chosen) -> None:
+    """Numbers that are all one have one prior."""
+    for option in ("mean", "deviation"):
+        given = getattr(request, option)
+        if given is not None and len(set(_flat(given).tolist())) > 1:
+            raise ValueError(f"{one.path}: {option}: expected one number where all are tied, got {given!r:.60}")
 
 
 def _prior(request: Free, one: Chosen, component: int, value: float) -> tuple[float, float | None]:

@@ -21,6 +21,7 @@ def held_by_bounds(
     scale: np.ndarray,
     size: np.ndarray,
     side: np.ndarray,
+    fixed: np.ndarray,
     noise: float,
 ) -> np.ndarray:
     """True for the numbers that a bound holds.
@@ -29,19 +30,20 @@ def held_by_bounds(
         curvature, scale, size: as for `analyse`.
         gradient: slope of the loss, texels eliminated.
         side: -1 for numbers on their lower bound, 1 on their upper, 0 on none.
+        fixed: True for numbers whose bounds are one: they are held whatever the pictures want.
         noise: standard deviation of a residual.
     """
-    held = side * gradient < 0
-    while np.any(held):
+    held = fixed | (side * gradient < 0)
+    while np.any(held & ~fixed):
         seen = analyse(curvature, held, scale, size)
         inverse = pseudo_inverse(curvature, scale, ~held & ~seen.unseen, len(seen.null))
         answers = curvature @ inverse
         slope = gradient - answers @ gradient
         bend = np.maximum(np.diagonal(curvature) - np.sum(answers * curvature, axis=1), 0)
         pressed = (side * slope < 0) & (bend > NULL * scale**2) & (np.abs(slope) > SIGNIFICANT * noise * np.sqrt(bend))
-        if np.all(pressed[held]):
+        if np.all((pressed | fixed)[held]):
             break
-        held &= pressed
+        held &= pressed | fixed
     return held
 
 

@@ -28,9 +28,12 @@ def outcome_of(state: FitState, interrupted: bool, *, fits: bool) -> Outcome:
     return "interrupted" if interrupted else "max_steps"
 
 
-def message_of(outcome: Outcome, state: FitState, history: Sequence[Step], rms: float, loss: LossKind) -> str:
+def message_of(
+    outcome: Outcome, state: FitState, history: Sequence[Step], rms: float, loss: LossKind, *, has_priors: bool
+) -> str:
     """The same in a sentence, after these steps."""
     left = f"residual RMS {rms:.3g}" + ("" if loss == "squares" else f", as the {loss} loss counts it")
+    left += ", priors included" if has_priors else ""
     trials = f"{state.accepted} steps ({state.tried} tried)"
     coarse = sum(step.part < 1 for step in history)
     if coarse > 1:

@@ -99,6 +99,12 @@ class Parameters(eqx.Module):
         """Number of parameters that are no texels."""
         return self.start.shape[0] - sum(block.size for block in self.blocks)
 
+    @property
+    def has_priors(self) -> bool:
+        """Whether the loss counts more than pictures; on the host."""
+        smooth = any(float(block.smoothness) > 0 or float(block.total_variation) > 0 for block in self.blocks)
+        return smooth or bool(np.any(np.asarray(self.prior_precision) > 0))
+
     def world(self, world: World, values: Float[Array, " parameters"]) -> World:
         """The world with the free numbers set to `values`."""
         for part in (*self.leaves, *self.blocks):

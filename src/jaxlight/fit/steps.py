@@ -25,7 +25,8 @@ class Step(NamedTuple):
     loss: float
     """At the best values so far; from a part, scaled up to all residuals."""
     rms: float
-    """Root mean square of the weighted residuals; of a robust loss that of residuals whose squares have this loss."""
+    """Root mean square of the weighted residuals; of a robust loss, and with priors, that of as many residuals whose
+    squares have this loss."""
     gradient: float
     """Largest slope that no bound holds back, in units of its column's norm: the residual it could still explain."""
     damping: float

@@ -50,7 +50,7 @@ class Uncertainty:
     labels: tuple[str, ...]
     standard_error: np.ndarray
     """Infinite where the pictures do not determine the number; 0 where a bound holds it, against pictures that want it
-    beyond by three standard errors and more."""
+    beyond by three standard errors and more, and where its bounds are one."""
     covariance: np.ndarray
     """[numbers, numbers] over the directions that are seen; 0 for held and unseen numbers, NaN if noise is unknown."""
     noise: float
@@ -59,7 +59,7 @@ class Uncertainty:
     rank: int
     """Number of directions that the pictures determine."""
     at_bound: tuple[tuple[str, str], ...]
-    """(label, "lower" or "upper") of the numbers that lie on a bound."""
+    """(label, "lower" or "upper") of the numbers that lie on a bound, and have another."""
     unseen: tuple[str, ...]
     """Numbers that no picture depends on."""
     ambiguities: tuple[Ambiguity, ...]
@@ -120,21 +120,25 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
         at = jnp.asarray(np.asarray(values), jnp.float64)
         known = jnp.asarray(description.noise_known)
         reduced = jax.tree.map(lambda a: np.asarray(a, np.float64), _reduced(wide, at, known, jnp.asarray(rounding)))
-        left = None if description.noise_known else Leftover(*map(float, leftover(wide, at)))
+        squares_of_known_noise = description.noise_known and problem.loss_kind == "squares"
+        left = None if squares_of_known_noise else Leftover(*map(float, leftover(wide, at)))
     found = np.asarray(values, np.float64)
     lower, upper = (np.asarray(a, np.float64)[:count] for a in (problem.parameters.lower, problem.parameters.upper))
     texels, found = found[count:], found[:count]
     labels = description.labels
-    on_lower, on_upper = found <= lower, found >= upper
+    fixed = lower == upper
+    on_lower, on_upper = (found <= lower) & ~fixed, (found >= upper) & ~fixed
     curvature, lengths = reduced.curvature, reduced.lengths
     sizes = np.where(reduced.sizes > 0, reduced.sizes, 1)
     side = on_upper.astype(int) - on_lower
-    held = held_by_bounds(curvature, reduced.gradient, lengths, sizes, side, float(reduced.noise))
+    held = held_by_bounds(curvature, reduced.gradient, lengths, sizes, side, fixed, float(reduced.noise))
     seen = analyse(curvature, held, lengths, sizes)
     rank = int(np.count_nonzero(~held & ~seen.unseen)) - len(seen.null)
     inverse = pseudo_inverse(curvature, seen.scale, ~held & ~seen.unseen, len(seen.null))
     fitted = rank - float(np.diagonal(inverse) @ reduced.precision) + float(reduced.texels)
     noise, variance = (1.0, 1.0) if left is None else _noise(left, fitted)
+    if description.noise_known:
+        noise, variance = 1.0, variance if np.isfinite(variance) else 1.0
     is_known = np.isfinite(noise)
     covariance = inverse
     if is_known:
@@ -163,7 +167,7 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
         ambiguities=tuple(ambiguities(seen, found, labels, description.fields, partners)),
         hardly_seen=tuple((labels[i], float(error[i])) for i in np.flatnonzero(hardly).tolist()),
         correlations=tuple(_correlations(covariance, labels, traded)),
-        remarks=() if left is None else tuple(_remarks(problem, left.count, fitted)),
+        remarks=() if left is None or description.noise_known else tuple(_remarks(problem, left.count, fitted)),
         unseen_texels=tuple(_unseen_texels(problem, reduced.rows)),
     )
 
@@ -209,9 +213,7 @@ def _remarks(problem: Problem, residuals: float, fitted: float) -> list[str]:
             f"the errors are not known: {residuals:.0f} residuals leave nothing to estimate their noise from; "
             f"state the views' `noise`"
         )
-    blocks = problem.parameters.blocks
-    smooth = any(float(block.smoothness) > 0 or float(block.total_variation) > 0 for block in blocks)
-    if smooth or np.any(np.asarray(problem.parameters.prior_precision) > 0):
+    if problem.parameters.has_priors:
         said.append("priors are weighed as if the noise of a picture were 1: state the views' `noise`")
     return said
 
