@@ -131,10 +131,10 @@ class FitJob:
         return problem.output
 
     def _spare_others(self, folder: Path) -> None:
-        """Raise ValueError for a file of the name of a result where no fit has left its log."""
-        *results, log, _ = outputs(self.problem, folder)
+        """Raise ValueError for a file of the name of a result where no fit has left its log or a checkpoint."""
+        *results, log, checkpoint = outputs(self.problem, folder)
         strange = next((path for path in results if path.exists()), None)
-        if strange is not None and not log.exists():
+        if strange is not None and not (log.exists() or checkpoint.exists()):
             raise ValueError(f"{strange}: is there, and no log of a fit beside it; --overwrite replaces it")
 
     def _scene(self) -> jaxlight.Scene:
