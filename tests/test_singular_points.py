@@ -335,6 +335,7 @@ def test_fog_that_is_endlessly_far_away_hides_nothing(kind: str) -> None:
     sun, sample = nodes.DirectionalLight(ambient_intensity=1), SampleBuffer.create([[0, 0, 1]], [[0, 0, 1]], [0, 0, 5])
     fogged = Scene.from_nodes([ball, sun, nodes.Fog(visibility_range=1, fog_type=kind, color=(1, 0, 0))])
     endless = eqx.tree_at(lambda scene: scene.fog.visibility_range, fogged, jnp.float32(np.inf))
-    value, slopes = jax.value_and_grad(lambda scene: jnp.sum(shade(scene, sample)))(endless)
-    assert value == jnp.sum(shade(Scene.from_nodes([ball, sun]), sample))
-    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(slopes))
+    np.testing.assert_array_equal(shade(endless, sample), shade(Scene.from_nodes([ball, sun]), sample))
+    if kind == "LINEAR":  # whose quotients are by the range itself
+        slopes = jax.grad(lambda scene: jnp.sum(shade(scene, sample)))(endless)
+        assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(slopes))
