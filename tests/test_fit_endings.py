@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import optimistix as optx
 import pytest
 
 from fit_scenes import key_light, material, precision, sphere_picture, sphere_samples, sphere_scene
-from jaxlight import Fit, View, fit, nodes, shade
+from jaxlight import Fit, Free, View, fit, nodes, shade
 from jaxlight.fit import fitting
 from jaxlight.fit.problem import make_problem
 
@@ -121,3 +122,13 @@ def test_an_interrupt_after_the_last_step_loses_nothing(monkeypatch: pytest.Monk
     finally:
         signal.signal(signal.SIGINT, before)
     assert result.outcome == "max_steps" and '"max_steps"' in (tmp_path / "log.jsonl").read_text().splitlines()[-1]
+
+
+def test_a_residual_says_what_it_counts_whatever_minimiser_left_it() -> None:
+    """Of another minimiser too: a robust loss and priors are in the sum."""
+    prior = Free("Material[body].shininess", mean=0.3, deviation=0.1)
+    method = optx.BFGS(rtol=1e-3, atol=1e-3)
+    with precision("float32") as dtype:
+        result = fit(start(dtype), view_of(), [prior], loss="huber", loss_scale=0.02, method=method, max_steps=2)
+    said = f"residual RMS {result.rms:.3g}, as the huber loss counts it, priors included."
+    assert result.message.endswith(said)

@@ -24,7 +24,7 @@ from .chosen import canonical
 from .earlier import spare_unfinished
 from .interrupts import held_back
 from .minimisers import check_minimiser, minimise
-from .outcomes import Outcome, message_of, outcome_of
+from .outcomes import Outcome, left_of, message_of, outcome_of
 from .pictures import residual_image
 from .problem import Description, Problem, make_problem
 from .record import Record
@@ -241,8 +241,7 @@ def _fit_by(
     finite = made.outcome != "nonfinite"
     outcome: Outcome = ("converged" if converged else "max_steps") if finite else "nonfinite"
     ending = "Converged" if converged and finite else "Not converged"
-    priors = ", priors included" if problem.parameters.has_priors else ""
-    message = f"{ending} by {type(method).__name__} in {steps} steps; residual RMS {made.rms:.3g}{priors}."
+    message = f"{ending} by {type(method).__name__} in {steps} steps; {left_of(made.rms, problem)}."
     made = dataclasses.replace(made, outcome=outcome, message=message)
     record.end(made.outcome, made.message, loss=made.loss, values=made.values)
     return made
@@ -312,7 +311,7 @@ def make_fit(
         loss=value,
         rms=rms,
         outcome=outcome,
-        message=message_of(outcome, state, history, rms, problem.loss_kind, has_priors=problem.parameters.has_priors),
+        message=message_of(outcome, state, history, rms, problem),
         history=tuple(history),
         problem=problem,
         description=description,

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import optimistix as optx
 
-from .residuals import LossKind
+from .problem import Problem
 from .run import FitState
 from .steps import Step
 
@@ -28,12 +28,15 @@ def outcome_of(state: FitState, interrupted: bool, *, fits: bool) -> Outcome:
     return "interrupted" if interrupted else "max_steps"
 
 
-def message_of(
-    outcome: Outcome, state: FitState, history: Sequence[Step], rms: float, loss: LossKind, *, has_priors: bool
-) -> str:
+def left_of(rms: float, problem: Problem) -> str:
+    """What is left, and what it counts."""
+    robust = "" if problem.loss_kind == "squares" else f", as the {problem.loss_kind} loss counts it"
+    return f"residual RMS {rms:.3g}{robust}{', priors included' if problem.parameters.has_priors else ''}"
+
+
+def message_of(outcome: Outcome, state: FitState, history: Sequence[Step], rms: float, problem: Problem) -> str:
     """The same in a sentence, after these steps."""
-    left = f"residual RMS {rms:.3g}" + ("" if loss == "squares" else f", as the {loss} loss counts it")
-    left += ", priors included" if has_priors else ""
+    left = left_of(rms, problem)
     trials = f"{state.accepted} steps ({state.tried} tried)"
     coarse = sum(step.part < 1 for step in history)
     if coarse > 1:
