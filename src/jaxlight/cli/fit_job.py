@@ -8,7 +8,7 @@ import json
 import math
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +22,11 @@ from .start_values import with_start_values
 from .status import FAILURE, INTERRUPTED, SUCCESS
 
 if TYPE_CHECKING:
+    import numpy as np
+
     import jaxlight
     from jaxlight.fit import Step
+    from jaxlight.scene.paths import Leaf
 
 MAX_ROWS = 60
 """Numbers listed on the terminal."""
@@ -138,8 +141,9 @@ class FitJob:
             raise ValueError(f"{strange}: is there, and no log of a fit beside it; --overwrite replaces it")
 
     def _scene(self) -> jaxlight.Scene:
-        """The scene with its start values; every free path leads somewhere in it."""
+        """The scene with its start values, which a file can hold; every free path leads somewhere in it."""
         from jaxlight import load
+        from jaxlight.formats.changes import changed_nodes
         from jaxlight.scene.paths import select
 
         with blamed_on(self.source, "scene"):
@@ -147,12 +151,20 @@ class FitJob:
         for path, values in self.problem.start.items():
             with blamed_on(self.source, "start", path):
                 scene = with_start_values(scene, path, values)
+        if self.problem.start:
+            with blamed_on(self.source, "start"):
+                changed_nodes(scene)
+        moved: dict[Leaf, np.ndarray] = {}
         for row, free in enumerate(self.problem.frees):
             with blamed_on(self.source, "free", row):
                 chosen = select(scene, [path for path in free.paths if not path.startswith("View[")])
+                for leaf, mask in chosen:
+                    moved[leaf] = moved[leaf] | mask if leaf in moved else mask
                 headlight = scene.directional is not None and scene.directional.headlight
                 if headlight and any(leaf.kind == "DirectionalLight" and mask[-1].any() for leaf, mask in chosen):
                     raise ValueError("the headlight is the browser's, no file holds it; add a light to the scene")
+        with blamed_on(self.source, "free"):
+            _check_whole_nodes(scene, moved)
         return scene
 
     def _write(self, result: Any, views: Sequence[Any], results: Sequence[Path], warned: Sequence[str]) -> None:
@@ -161,15 +173,28 @@ class FitJob:
         from jaxlight.formats.safe_write import written_whole
 
         scene_file, *picture_files, report_file, numbers_file = results
-        save(result.scene, scene_file)
         with written_whole(numbers_file) as draft:
             draft.write_text(json.dumps(_numbers(result), indent=2, allow_nan=False) + "\n")
+        save(result.scene, scene_file)
         asked = self.problem.views
         for path, one, pictures in zip(picture_files, asked, view_pictures(result, views), strict=True):
             write_image(path, encode(pictures.model, one.decode))
         title = f"{self.problem.scene.name} fitted to {', '.join(one.picture.name for one in asked)}"
         transfer = "srgb" if all(one.decode == "srgb" for one in asked) else "none"
         write_report(report_file, result, views, title=title, transfer=transfer, warnings=warned)
+
+
+def _check_whole_nodes(scene: jaxlight.Scene, moved: Mapping[Leaf, np.ndarray]) -> None:
+    """Raise ValueError where a node that is placed several times (USE) would have to have several values."""
+    from jaxlight.scene.paths import first_rows
+
+    for leaf, mask in moved.items():
+        for row, first in enumerate(first_rows(scene, leaf.kind)):
+            if first < row and (mask[first] != mask[row]).any():
+                raise ValueError(
+                    f"{leaf.kind}[{first}] and {leaf.kind}[{row}] are one node that is used again (USE), with one "
+                    f"{leaf.field}; free both"
+                )
 
 
 @contextlib.contextmanager

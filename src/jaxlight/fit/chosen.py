@@ -38,6 +38,7 @@ class Catalogue:
         self.scene = world.scene
         self._exposure = np.asarray(world.exposure)
         self._arrays: dict[paths.Leaf, np.ndarray] = {}
+        self._first_rows: dict[str, list[int]] = {}
         self._fields: dict[paths.Leaf, dict[tuple[int, ...], tuple[int, paths.Field]]] = {}
         for place, field in enumerate(paths.fields(world.scene)):
             self._fields.setdefault(field.leaf, {})[field.index] = place, field
@@ -59,6 +60,14 @@ class Catalogue:
         if not np.isfinite(value):
             raise ValueError(f"{one.label}: a free field must start at a finite value, got {value}")
         return value
+
+    def first_row(self, one: Chosen) -> int:
+        """The first row of the number's node; rows of one node (USE) have its one value."""
+        if one.leaf is None:
+            return one.row
+        if one.leaf.kind not in self._first_rows:
+            self._first_rows[one.leaf.kind] = paths.first_rows(self.scene, one.leaf.kind)
+        return self._first_rows[one.leaf.kind][one.row]
 
 
 def choose(
@@ -102,7 +111,12 @@ def canonical(scene: Scene, path: str) -> str:
         ((leaf, mask),) = paths.select(scene, path)
     except ValueError:
         return path
-    meant = [field for field in paths.fields(scene) if field.leaf == leaf and np.any(mask[field.index])]
+    first = paths.first_rows(scene, leaf.kind)
+    meant = [
+        field
+        for field in paths.fields(scene)
+        if field.leaf == leaf and np.any(mask[field.index]) and all(first[row] == row for row in field.index)
+    ]
     if len(meant) != 1:
         return path
     inside = np.flatnonzero(mask[meant[0].index])

@@ -26,7 +26,8 @@ class Free:
         where: path, function of the scene, or several of them.
         lower, upper: bounds tighter than the specification's range; a number, or one a component.
         tied: True: all nodes that `where` means share one value, component by component; "all": all its numbers are
-            one number (a grey colour). It begins at the first one's start and stays in the bounds of all.
+            one number (a grey colour). It begins at the first one's start and stays in the bounds of all. Rows of one
+            node that is placed several times (USE) are so tied in any case: it has one value.
         smoothness: whole textures only: standard deviation of the difference of neighbouring texels.
         total_variation: whole textures only: mean absolute difference of neighbouring texels; keeps edges.
         mean, deviation: a Gaussian prior: what the value should be, and how far from it is one standard deviation.
@@ -68,8 +69,9 @@ def free_parameters(
     taken: dict[tuple[Any, int], int] = {}
     members: dict[str, list[tuple[Chosen, int]]] = {}
     whole: list[tuple[Free, paths.Leaf]] = []
+    first_of_tie: dict[tuple[Any, ...], int] = {}
     catalogue = Catalogue(world)
-    for request in requests:
+    for place, request in enumerate(requests):
         chosen, textures = choose(catalogue, request.where, view_names, blocks=blocks and not request.tied)
         whole += [(request, leaf) for leaf in textures]
         if not chosen and textures:
@@ -83,24 +85,25 @@ def free_parameters(
             raise ValueError(f"{rows[0]}: tied: expected True, False or 'all', got {request.tied!r}")
         if request.tied is True:
             _check_tie(chosen, rows)
-        first_of_row: dict[int, int] = {}
         seen: dict[str, int] = {}
         for one in chosen:
             component = seen[one.path] = seen.get(one.path, -1) + 1
-            tie = 0 if request.tied == "all" else component
+            tie: tuple[Any, ...] = (one.leaf, catalogue.first_row(one), one.component)  # one number of one node
+            if request.tied:
+                tie = (place, 0 if request.tied == "all" else component)
             if (one.leaf, one.element) in taken:
                 raise ValueError(f"free: {one.label} is named twice")
             value = catalogue.value(one)
             low, high = _bounds(request, one, component, value)
             if request.tied == "all":
                 _check_one_prior(request, one)
-            if request.tied and tie in first_of_row:
-                number = first_of_row[tie]
+            if tie in first_of_tie:
+                number = first_of_tie[tie]
                 _check_inside(f"{one.label}, which is tied,", values[number], low, high)
                 lower[number], upper[number] = max(lower[number], low), min(upper[number], high)
                 values[number] = min(max(values[number], lower[number]), upper[number])
             else:
-                number = first_of_row[tie] = len(values)
+                number = first_of_tie[tie] = len(values)
                 mean, deviation = _prior(request, one, component, value)
                 values.append(min(max(value, low), high))
                 lower.append(low)

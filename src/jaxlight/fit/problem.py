@@ -113,9 +113,10 @@ def make_problem(
     dtype = _float_type(scene)
     _check_finite(scene)
     exposures = [exposure_of(view, row) for row, view in enumerate(each)]
-    # The document is no number and would only make programs of equal scenes differ.
-    world = World(dataclasses.replace(scene, document=None), array_of(exposures, dtype))
+    world = World(scene, array_of(exposures, dtype))
     parameters, fields = free_parameters(world, free, names, dtype)
+    # The document is no number and would only make programs of equal scenes differ.
+    world = World(dataclasses.replace(scene, document=None), world.exposure)
     data = [_planned(world, parameters, view_data(scene, view, row, dtype), options) for row, view in enumerate(each)]
     labels = [""] * parameters.few
     for field in fields:

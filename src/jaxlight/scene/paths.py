@@ -167,6 +167,19 @@ def select(scene: Scene, path: Path | Iterable[Path]) -> list[Selection]:
     return [Selection(leaf, mask) for leaf, mask in masks.items()]
 
 
+def first_rows(scene: Scene, kind: str) -> list[int]:
+    """Of every row of a kind of node the first one of the same node: an earlier one where it is placed again (USE).
+
+    Of a scene without its document, or with other rows than that has nodes, every row itself.
+    """
+    rows = _names(kind, getattr(scene, ATTRIBUTES[kind]))
+    behind = getattr(scene.document, ATTRIBUTES[kind], None)
+    if not isinstance(behind, tuple) or len(behind) != len(rows):
+        return list(range(len(rows)))
+    first: dict[Any, int] = {}
+    return [first.setdefault(node, row) for row, node in enumerate(behind)]
+
+
 def light_rows(scene: Scene, paths: str | Iterable[str]) -> dict[str, np.ndarray]:
     """The rows of each kind of light that a path such as `PointLight[key]`, or several, mean.
 
@@ -182,7 +195,7 @@ def light_rows(scene: Scene, paths: str | Iterable[str]) -> dict[str, np.ndarray
         if kind not in LIGHT_KINDS or field != "*":
             raise ValueError(f"lights: expected a light such as 'PointLight[0]', got {path!r}{_lights_there(scene)}")
         owner = getattr(scene, _KINDS[kind][0])
-        matching = [] if owner is None else _matching_rows(path, kind, owner, row)
+        matching = [] if owner is None else _matching_rows(scene, path, kind, row)
         if not matching:
             raise ValueError(f"lights: the scene has no {path!r}{_lights_there(scene)}")
         rows[kind].update(matching)
@@ -200,18 +213,25 @@ def _lights_there(scene: Scene) -> str:
 
 
 _PLAIN_NAME = re.compile(r"[^\[\]*?!]*[^\[\]*?!\d][^\[\]*?!]*")
-_SYNTAX = re.compile(r"(?P<kind>\w+)(?:\[(?P<row>.*?)\])?\.(?P<field>\w+|\*)(?P<part>(?:\[\d+\])+|\.\w+)?")
+_SYNTAX = re.compile(r"(?P<kind>\w+)(?:\[(?P<row>.*?)\])?\.(?P<field>[\w*?]+)(?P<part>(?:\[\d+\])+|\.\w+)?")
 
 
 def _row_labels(kind: str, owner: Any) -> list[str]:
     """`Material[body]`: the DEF name where it is there, unique and not to be mistaken for something else."""
     if kind == "Fog":
         return ["Fog"]
-    names = tuple(texture.name for texture in owner) if kind == "Texture" else owner.names
+    names = _names(kind, owner)
     return [
         f"{kind}[{name if _PLAIN_NAME.fullmatch(name) and names.count(name) == 1 else row}]"
         for row, name in enumerate(names)
     ]
+
+
+def _names(kind: str, owner: Any) -> tuple[str, ...]:
+    """The DEF name of every row."""
+    if kind == "Fog":
+        return (owner.name,)
+    return tuple(texture.name for texture in owner) if kind == "Texture" else owner.names
 
 
 def _component_names(field: str, shape: tuple[int, ...]) -> str:
@@ -232,10 +252,9 @@ def _parse(path: str) -> tuple[str, str | None, str, str]:
     return _ALIASES.get(kind, kind), match["row"], _snake(match["field"]), match["part"] or ""
 
 
-def _matching_rows(path: str, kind: str, owner: Any, row: str | None) -> list[int]:
-    if kind == "Fog":
-        return [0] if row is None or row == "*" or row == owner.name else []
-    names = tuple(texture.name for texture in owner) if kind == "Texture" else owner.names
+def _matching_rows(scene: Scene, path: str, kind: str, row: str | None) -> list[int]:
+    owner = getattr(scene, ATTRIBUTES[kind])
+    names = _names(kind, owner)
     if row is None:
         if len(names) > 1:
             raise ValueError(
@@ -245,9 +264,11 @@ def _matching_rows(path: str, kind: str, owner: Any, row: str | None) -> list[in
         return list(range(len(names)))
     if row in names:
         matching = [i for i, name in enumerate(names) if name == row]
-        if len(matching) > 1:
+        first = first_rows(scene, kind)
+        different = [i for i in matching if first[i] == i]
+        if len(different) > 1:
             rows = ", ".join(f"{kind}[{i}]" for i in matching)
-            raise ValueError(f"{path!r}: {len(matching)} nodes have this name; write the row number: {rows}")
+            raise ValueError(f"{path!r}: {len(different)} nodes have this name; write the row number: {rows}")
         return matching
     if row.isdecimal():
         return [int(row)] if int(row) < len(names) else []
@@ -258,7 +279,7 @@ def _by_name(scene: Scene, path: str) -> list[tuple[Leaf, np.ndarray]]:
     kind, row, field, part = _parse(path)
     attribute, ranges = _KINDS.get(kind, ("", {}))
     owner = getattr(scene, attribute) if attribute else None
-    rows = [] if owner is None else _matching_rows(path, kind, owner, row)
+    rows = [] if owner is None else _matching_rows(scene, path, kind, row)
     names = [name for name in ranges if fnmatch.fnmatchcase(name, field)]
     if not rows or not names:
         raise _unknown(scene, path)

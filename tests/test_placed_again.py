@@ -1,0 +1,95 @@
+"""A light that is placed several times (USE) is one node: its fields have one value, in a fit and in the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxlight
+from jaxlight import Scene, View, fit
+from jaxlight.cli import main
+from jaxlight.scene import paths
+
+SCENE = """<X3D version="3.3"><Scene>
+  <NavigationInfo headlight="false"/>
+  <Viewpoint position="0 0 6"/>
+  <PointLight DEF="fill" intensity="0.2" location="0 4 1"/>
+  <Transform translation="2 2 3"><PointLight DEF="lamp" intensity="0.7"/></Transform>
+  <Transform translation="-2 1 3"><PointLight USE="lamp"/></Transform>
+  <Shape><Appearance><Material DEF="body" diffuseColor="0.5 0.4 0.3"/></Appearance><Sphere/></Shape>
+</Scene></X3D>
+"""
+INTENSITY = "PointLight[lamp].intensity"
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Scene:
+    """Of a file in the working directory, beside a picture of it with lamps that are twice as strong."""
+    monkeypatch.chdir(tmp_path)
+    Path("bright.x3d").write_text(SCENE.replace("0.7", "1.4"))
+    Path("scene.x3d").write_text(SCENE)
+    jaxlight.write_image("target.png", picture(jaxlight.load("bright.x3d")))
+    return jaxlight.load("scene.x3d")
+
+
+def picture(scene: Scene) -> np.ndarray:
+    samples = jaxlight.rasterize(scene, jaxlight.Camera.default(scene), 24, 24)
+    return np.asarray(jaxlight.encode(jaxlight.render(scene, samples), "none"))
+
+
+def test_its_name_means_every_place(scene: Scene) -> None:
+    (selection,) = paths.select(scene, INTENSITY)
+    assert selection.mask.tolist() == [False, True, True]
+
+
+def test_its_number_is_one_in_a_fit(scene: Scene) -> None:
+    target = jaxlight.read_image("target.png")
+    samples = jaxlight.rasterize(scene, jaxlight.Camera.default(scene), 24, 24)
+    for free in ([INTENSITY], ["PointLight[1].intensity", "PointLight[2].intensity"]):
+        result = fit(scene, View(samples, target), free)
+        np.testing.assert_allclose(result.value(INTENSITY), 1.4, rtol=1e-2)
+        assert result.value(INTENSITY) == result.value("PointLight[2].intensity")
+        jaxlight.save(result.scene, "fitted.x3d")
+        assert Path("fitted.x3d").read_text().count('USE="lamp"') == 1
+
+
+def test_a_fit_of_the_command_line_writes_it(scene: Scene) -> None:
+    assert main(["fit", "scene.x3d", "target.png", "--output", "fitted", "--free", INTENSITY]) == 0
+    fitted = jaxlight.load("fitted/scene.x3d")
+    np.testing.assert_allclose(fitted.point.intensity, [0.2, 1.4, 1.4], rtol=1e-2)
+
+
+REFUSED = {
+    "one place of two": (["--free", "PointLight[1].intensity"], "--free: PointLight[1] and PointLight[2] are one node"),
+    "a start of one place": (
+        ["--free", "Material[body].diffuse_color", "--start", "PointLight[1].intensity=0.3"],
+        f"--start: save: {INTENSITY}: the node is used 2 times (USE)",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_no_file_can_hold_is_refused_before_the_work(
+    case: str, scene: Scene, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words, said = REFUSED[case]
+    assert main(["fit", "scene.x3d", "target.png", "--output", "fitted", *words]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"jaxlight: error: {said}") and error.count("\n") == 1
+    assert not Path("fitted").exists()
+
+
+def test_a_start_of_the_headlight_is_refused_before_the_work(scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("dark.x3d").write_text('<X3D version="3.3"><Scene><Shape><Appearance><Material DEF="m"/></Appearance>'
+                                "<Sphere/></Shape></Scene></X3D>")  # fmt: skip
+    words = ["--free", "Material[m].diffuse_color", "--start", "DirectionalLight[headlight].intensity=0.8"]
+    assert main(["fit", "dark.x3d", "target.png", "--output", "fitted", *words]) == 2
+    assert "no file can hold it" in capsys.readouterr().err and not Path("fitted").exists()
+
+
+def test_its_derivatives_are_checked_place_by_place(scene: Scene) -> None:
+    samples = jaxlight.rasterize(scene, jaxlight.Camera.default(scene), 8, 8)
+    check = jaxlight.check_gradients(scene, samples, [INTENSITY])
+    assert [row.path for row in check.rows] == ["PointLight[1].intensity", "PointLight[2].intensity"] and check.passed
