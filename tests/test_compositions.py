@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.sharding import AxisType, PartitionSpec
+from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 from jaxlight import SampleBuffer, Scene, nodes, shade, sum_over_samples
 from jaxlight.lighting import Plan, make_plan
@@ -102,6 +102,13 @@ def on_two_devices(lights: int, *, whole: bool) -> None:
         total = mapped(on_each, (SHARED, OWN, SHARED), SHARED)
         found = jax.jit(jax.value_and_grad(total, (0, 2)))(scene, samples, FACTOR)
         assert_close(found, (value, (slope, jnp.sum(by_factors))))
+
+        def of_all(scene: Scene, samples: SampleBuffer, loss: Loss = loss) -> jax.Array:
+            return jnp.sum(jax.vmap(lambda one: loss(scene, one, FACTOR))(samples))
+
+        # What each device does is left to XLA.
+        divided = jax.device_put(samples, NamedSharding(mesh, OWN))
+        assert_close(jax.jit(jax.grad(of_all))(scene, divided), slope)
         if whole and loss is tiles:
             assert_close(jax.jit(mapped(slope_on_each, (SHARED, OWN, SHARED), SHARED))(scene, samples, FACTOR), slope)
             assert_close(jax.grad(total)(scene, samples, FACTOR), slope)  # outside of jit

@@ -20,7 +20,7 @@ from jaxtyping import Array, Int
 
 from .at_once import at_once
 from .changes import merged
-from .own_sums import with_own_sums
+from .own_sums import lower_on_cpu, with_own_sums
 from .pruned import pruned
 
 
@@ -132,9 +132,7 @@ _linear_stage.multiple_results = True
 _linear_stage.def_impl(_evaluated)
 _linear_stage.def_abstract_eval(lambda *_, jaxprs, **others: jaxprs[0].out_avals)
 mlir.register_lowering(_linear_stage, mlir.lower_fun(_last_form, multiple_results=True))
-mlir.register_lowering(
-    _linear_stage, mlir.lower_fun(partial(_evaluated, evaluated=with_own_sums), multiple_results=True), platform="cpu"
-)
+lower_on_cpu(_linear_stage, _evaluated, partial(_evaluated, evaluated=with_own_sums), multiple_results=True)
 ad.primitive_jvps[_linear_stage] = _jvp
 ad.primitive_transposes[_linear_stage] = _transpose
 batching.primitive_batchers[_linear_stage] = _batched

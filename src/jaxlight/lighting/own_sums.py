@@ -52,6 +52,22 @@ def with_own_sums(jaxpr: ClosedJaxpr) -> Callable[..., list[Array]]:
     return evaluated
 
 
+def lower_on_cpu(
+    primitive: Primitive, plain: Callable[..., Any], by_own_sums: Callable[..., Any], *, multiple_results: bool
+) -> None:
+    """On the CPU a primitive is evaluated by own sums, but plainly where XLA divides arrays among devices: parts of a sum
+    it puts together only where it knows one."""
+    ways = [mlir.lower_fun(way, multiple_results=multiple_results) for way in (by_own_sums, plain)]
+
+    def lowered(context: mlir.LoweringRuleContext, *operands: Any, **how: Any) -> Any:
+        where: Any = context.module_context.axis_context
+        by_hand = getattr(where, "manual_axes", None)  # None: in no `jax.shard_map`
+        divided = getattr(where, "num_devices", 1) != 1 if by_hand is None else by_hand != frozenset(where.mesh.axis_names)
+        return ways[divided](context, *operands, **how)
+
+    mlir.register_lowering(primitive, lowered, platform="cpu")
+
+
 def _results(equation: Any, operands: list[Array]) -> Sequence[Array]:
     primitive, how = equation.primitive, equation.params
     if primitive is lax.reduce_sum_p:
@@ -109,7 +125,7 @@ _multilinear = Primitive("multilinear")
 _multilinear.def_impl(_result)
 _multilinear.def_abstract_eval(lambda *_, jaxpr: jaxpr.out_avals[0])
 mlir.register_lowering(_multilinear, mlir.lower_fun(_result, multiple_results=False))
-mlir.register_lowering(_multilinear, mlir.lower_fun(_result_by_own_sums, multiple_results=False), platform="cpu")
+lower_on_cpu(_multilinear, _result, _result_by_own_sums, multiple_results=False)
 ad.primitive_jvps[_multilinear] = _jvp
 ad.primitive_transposes[_multilinear] = _transpose
 batching.primitive_batchers[_multilinear] = _batched
