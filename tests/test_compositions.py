@@ -131,10 +131,29 @@ def test_devices_of_a_mesh_that_keeps_account_of_what_varies(lights: int, whole:
 
 @pytest.mark.parametrize(("lights", "fog_type"), [(1, "LINEAR"), (12, "EXPONENTIAL")])
 def test_a_mesh_of_explicit_axes(lights: int, fog_type: str) -> None:
+    """Of arrays that are divided along no axis, along one that is mapped over, and along that of samples."""
     scene, samples = scene_under_lights(lights, fog_type), buffer(1)
-    wanted = shade(scene, samples)
-    with jax.set_mesh(jax.make_mesh((1,), ("i",))):
+    wanted, mesh = shade(scene, samples), jax.make_mesh((1,), ("i",))
+    stack = jax.device_put(jax.tree.map(lambda leaf: leaf[None], samples), NamedSharding(mesh, OWN))
+    planes = jax.device_put(samples.position_planes, NamedSharding(mesh, PartitionSpec(None, None, "i")))
+    divided = dataclasses.replace(samples, position_planes=planes)
+    with jax.set_mesh(mesh):
         np.testing.assert_array_equal(shade(scene, samples), wanted)
+        np.testing.assert_array_equal(shade(scene, divided), wanted)
+    np.testing.assert_array_equal(jax.vmap(lambda one: shade(scene, one))(stack)[0], wanted)
+
+
+def test_derivatives_on_a_mesh_of_explicit_axes() -> None:
+    scene, samples = scene_under_lights(1), buffer(1)
+    mesh, plan = jax.make_mesh((1,), ("i",)), make_plan(scene, samples, free=True)
+    stack = jax.device_put(jax.tree.map(lambda leaf: leaf[None], samples), NamedSharding(mesh, OWN))
+    wanted = jax.jit(jax.grad(of_colors(plan)))(scene, samples, FACTOR)
+
+    def of_all(scene: Scene, stack: SampleBuffer) -> jax.Array:
+        return jnp.sum(jax.vmap(lambda one: tile_by_tile(plan)(scene, one, FACTOR))(stack))
+
+    with jax.set_mesh(mesh):
+        assert_close(jax.jit(jax.grad(of_all))(scene, stack), wanted)
 
 
 def test_pmap() -> None:

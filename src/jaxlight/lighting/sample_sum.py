@@ -22,7 +22,7 @@ from ..arrays import real_array
 from ..promotion import usual_promotion
 from ..raster.samples import LANES, SampleBuffer
 from ..scene import Scene
-from .in_shard_map import Axes, axes_of, is_inside, unaware, varying
+from .meshes import Axes, axes_of, is_inside, left_to_xla, on_explicit_mesh, unaware, varying
 from .lanes import on_all_lanes, on_fewer_lanes, packed, summed, unpacked
 from .moved import moved_leaves
 from .one_tile import Color, tile_color
@@ -71,6 +71,12 @@ def sum_over_samples(
                 f"planes[{number}]: expected shape [..., {samples.slots}], as SampleBuffer.in_storage_order gives it, "
                 f"got {list(plane.shape)}"
             )
+    if on_explicit_mesh(scene, samples, planes):
+
+        def again(scene: Scene, samples: SampleBuffer, planes: tuple[Array, ...]) -> Array:
+            return sum_over_samples(function, scene, samples, *planes, plan=plan)
+
+        return left_to_xla(again, scene, samples, planes)
     count = tiles_at_once(scene, samples, plan) * samples.tile
     own = [jax.ShapeDtypeStruct((*plane.shape[:-1], count), plane.dtype) for plane in planes]
     color = jax.ShapeDtypeStruct((4, count), compute_dtype(samples))

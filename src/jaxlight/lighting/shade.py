@@ -19,7 +19,7 @@ from .changes import moves, with_change, without_zeros
 from .checks import check_samples
 from .compiling import jit_on_cpu
 from .cores import in_threads, shares_of
-from .in_shard_map import axes_of, unaware, varying
+from .meshes import axes_of, left_to_xla, on_explicit_mesh, unaware, varying
 from .mapped import mapped_axis_first
 from .options import LightingOptions
 from .plan import Plan, Structure, check_place, make_plan
@@ -105,6 +105,8 @@ def _shade(
     form: _Form, scene: Scene, samples: SampleBuffer, options: LightingOptions | None, plan: Plan | None
 ) -> Array:
     scene, plan = checked(scene, samples, options, plan)
+    if on_explicit_mesh(scene, samples):
+        return left_to_xla(partial(_shaded, form, plan), scene, samples)
     if is_traced(scene, samples):
         axes = axes_of(scene, samples)
         return unaware(_shaded, (form, plan), axes, *varying((scene, samples), axes))

@@ -1,9 +1,13 @@
-"""Inside of `jax.shard_map`, where JAX keeps account of which axes of the mesh every value varies over.
+"""Arrays on a mesh of devices.
 
-It wants the branches of a conditional, and what goes into a turn of a loop and what comes out, to vary alike. Colours
-need nothing of other devices, so they are computed as if nothing varied. Seen from outside, all that they are computed
-from, and they themselves, vary over every axis over which any of it does; JAX then sums derivatives by what is the same
-on all devices, as it does of any function.
+Inside of `jax.shard_map` JAX keeps account of which axes of the mesh every value varies over. It wants the branches of a
+conditional, and what goes into a turn of a loop and what comes out, to vary alike. Colours need nothing of other
+devices, so they are computed as if nothing varied. Seen from outside, all that they are computed from, and they
+themselves, vary over every axis over which any of it does; JAX then sums derivatives by what is the same on all devices,
+as it does of any function.
+
+On a mesh of explicit axes JAX divides arrays as it is told, operation by operation. Here it is told nothing: it is left to
+XLA, as on a mesh of other axes.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ import jax
 from jax import lax
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
+from jax.sharding import PartitionSpec, auto_axes, use_abstract_mesh
 from jaxtyping import Array
 
 Axes = tuple[Any, ...]
@@ -27,6 +32,18 @@ _Tree = TypeVar("_Tree")
 def is_inside() -> bool:
     """Whether what is traced now is part of what each device does."""
     return bool(jax.sharding.get_abstract_mesh().manual_axes)
+
+
+def on_explicit_mesh(*operands: Any) -> bool:
+    """Whether any of their leaves lies on a mesh whose axes JAX divides as it is told, operation by operation."""
+    return any(bool(jax.typeof(leaf).sharding.mesh.explicit_axes) for leaf in jax.tree.leaves(operands))
+
+
+def left_to_xla(function: Callable[..., Any], *operands: Any) -> Any:
+    """function(*operands), in which XLA divides arrays among the devices of an explicit mesh; all have the result."""
+    mesh = next(mesh for leaf in jax.tree.leaves(operands) if (mesh := jax.typeof(leaf).sharding.mesh).explicit_axes)
+    with use_abstract_mesh(mesh):
+        return auto_axes(function, out_sharding=PartitionSpec())(*operands)
 
 
 def axes_of(*operands: Any) -> Axes:
