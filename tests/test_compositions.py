@@ -24,7 +24,7 @@ from leaves import assert_leaves_close
 SHARED, OWN = PartitionSpec(), PartitionSpec("i")
 FACTOR = np.float32(1.5)
 
-Loss = Callable[[Scene, SampleBuffer, jax.Array], jax.Array]
+Loss = Callable[[Scene, SampleBuffer, Any], jax.Array]
 
 
 def scene_under_lights(count: int, fog_type: str = "LINEAR") -> Scene:

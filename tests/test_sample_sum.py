@@ -117,6 +117,20 @@ def test_functions_may_close_over_whatever_is_traced() -> None:
     assert_leaves_close(jax.tree.map(jnp.add, only_red, only_green), both, 1e-5)
 
 
+def test_numbers_of_half_precision_are_added_up_in_single() -> None:
+    """Their sum lies beyond what half precision holds."""
+    scene, samples, _ = two_surfaces("float32", 20_000)
+
+    def summed(scene: Scene) -> jax.Array:
+        return sum_over_samples(lambda color: (4 * color[:3]).astype(jnp.float16), scene, samples)
+
+    terms = (4 * shade(scene, samples)[:, :3]).astype(jnp.float16)
+    wanted = np.sum(np.asarray(terms, np.float64))
+    assert wanted > 65536 and summed(scene).dtype == np.float32
+    assert float(summed(scene)) == pytest.approx(wanted, rel=1e-6)
+    assert float(jax.jit(jax.value_and_grad(summed))(scene)[0]) == pytest.approx(wanted, rel=1e-6)
+
+
 def test_what_does_not_fit_is_named() -> None:
     scene, samples, target = two_surfaces(np.float32)
     with pytest.raises(ValueError, match=r"in_storage_order: expected 700 along axis -1, one a sample, got \[700, 3\]"):

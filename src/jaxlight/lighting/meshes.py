@@ -1,13 +1,13 @@
 """Arrays on a mesh of devices.
 
-Inside of `jax.shard_map` JAX keeps account of which axes of the mesh every value varies over. It wants the branches of a
-conditional, and what goes into a turn of a loop and what comes out, to vary alike. Colours need nothing of other
+Inside of `jax.shard_map` JAX keeps account of which axes of the mesh every value varies over. It wants the branches of
+a conditional, and what goes into a turn of a loop and what comes out, to vary alike. Colours need nothing of other
 devices, so they are computed as if nothing varied. Seen from outside, all that they are computed from, and they
-themselves, vary over every axis over which any of it does; JAX then sums derivatives by what is the same on all devices,
-as it does of any function.
+themselves, vary over every axis over which any of it does; JAX then sums derivatives by what is the same on all
+devices, as it does of any function.
 
-On a mesh of explicit axes JAX divides arrays as it is told, operation by operation. Here it is told nothing: it is left to
-XLA, as on a mesh of other axes.
+On a mesh of explicit axes JAX divides arrays as it is told, operation by operation. Here it is told nothing: that is
+left to XLA, as on a mesh of other axes.
 """
 
 from __future__ import annotations

@@ -55,14 +55,19 @@ def with_own_sums(jaxpr: ClosedJaxpr) -> Callable[..., list[Array]]:
 def lower_on_cpu(
     primitive: Primitive, plain: Callable[..., Any], by_own_sums: Callable[..., Any], *, multiple_results: bool
 ) -> None:
-    """On the CPU a primitive is evaluated by own sums, but plainly where XLA divides arrays among devices: parts of a sum
-    it puts together only where it knows one."""
+    """On the CPU a primitive is evaluated by own sums, but plainly where XLA divides arrays among devices.
+
+    Parts of sums it puts together only where it knows them as sums.
+    """
     ways = [mlir.lower_fun(way, multiple_results=multiple_results) for way in (by_own_sums, plain)]
 
     def lowered(context: mlir.LoweringRuleContext, *operands: Any, **how: Any) -> Any:
         where: Any = context.module_context.axis_context
         by_hand = getattr(where, "manual_axes", None)  # None: in no `jax.shard_map`
-        divided = getattr(where, "num_devices", 1) != 1 if by_hand is None else by_hand != frozenset(where.mesh.axis_names)
+        if by_hand is None:
+            divided = getattr(where, "num_devices", 1) != 1
+        else:
+            divided = by_hand != frozenset(where.mesh.axis_names)
         return ways[divided](context, *operands, **how)
 
     mlir.register_lowering(primitive, lowered, platform="cpu")

@@ -22,8 +22,8 @@ from ..arrays import real_array
 from ..promotion import usual_promotion
 from ..raster.samples import LANES, SampleBuffer
 from ..scene import Scene
-from .meshes import Axes, axes_of, is_inside, left_to_xla, on_explicit_mesh, unaware, varying
 from .lanes import on_all_lanes, on_fewer_lanes, packed, summed, unpacked
+from .meshes import Axes, axes_of, is_inside, left_to_xla, on_explicit_mesh, unaware, varying
 from .moved import moved_leaves
 from .one_tile import Color, tile_color
 from .options import LightingOptions
@@ -114,11 +114,13 @@ def _whole(
     parts = [plane.reshape(*plane.shape[:-1], -1, count) for plane in (colors, *planes)]
     values = jax.vmap(lambda *own: function(*own, *numbers), in_axes=-2, out_axes=-2)(*parts)
     values = values.reshape(*values.shape[:-2], samples.slots)
-    return jnp.sum(summed_on_lanes(_of_samples(values, samples.is_sample))).astype(colors.dtype)
+    return jnp.sum(summed_on_lanes(_terms(values, samples.is_sample, colors.dtype))).astype(colors.dtype)
 
 
-def _of_samples(values: Float[Array, "... samples"], is_sample: Array | None) -> Array:
-    """0 for padding."""
+def _terms(values: Float[Array, "... samples"], is_sample: Array | None, dtype: Any) -> Array:
+    """What is added up: 0 for padding, and numbers of no less than this precision."""
+    if jnp.issubdtype(values.dtype, jnp.floating):
+        values = values.astype(jnp.promote_types(values.dtype, dtype))
     return values if is_sample is None else jnp.where(is_sample, values, 0)
 
 
@@ -198,7 +200,7 @@ def _by_tiles(
 
             def of_samples(color: Color, planes: Any, is_sample: Array | None, numbers: Any) -> Array:
                 rgba = jnp.concatenate([color.rgb, color.alpha[None]])
-                return _of_samples(function(rgba, *planes, *numbers), is_sample)
+                return _terms(function(rgba, *planes, *numbers), is_sample, zeros.dtype)
 
             def summed(color: Color, own_numbers: Any) -> Array:
                 own = (tuple(map(cut, planes)), None if is_sample is None else cut(is_sample))

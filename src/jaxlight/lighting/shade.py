@@ -19,8 +19,8 @@ from .changes import moves, with_change, without_zeros
 from .checks import check_samples
 from .compiling import jit_on_cpu
 from .cores import in_threads, shares_of
-from .meshes import axes_of, left_to_xla, on_explicit_mesh, unaware, varying
 from .mapped import mapped_axis_first
+from .meshes import axes_of, left_to_xla, on_explicit_mesh, unaware, varying
 from .options import LightingOptions
 from .plan import Plan, Structure, check_place, make_plan
 from .prepared import compute_dtype, prepare
