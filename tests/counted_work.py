@@ -1,10 +1,13 @@
-"""Bounds of work that no clock tells: how many functions are called."""
+"""Bounds of work that no clock tells: how many functions are called, how many programs are compiled."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
 
 
 @contextlib.contextmanager
@@ -27,3 +30,18 @@ def at_most_calls(most: int) -> Iterator[None]:
 
 class TooMuchWork(BaseException):
     """Not an Exception, lest a reader takes it for a damaged file."""
+
+
+def programs_of(function: Callable[[], Any]) -> int:
+    """How many programs are compiled by a call."""
+    compiled: list[str] = []
+    listening = True
+
+    def listen(event: str, *_: Any, **__: Any) -> None:
+        if listening and "backend_compile" in event:
+            compiled.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    jax.block_until_ready(function())
+    listening = False
+    return len(compiled)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
+from counted_work import programs_of
 from jaxlight import SampleBuffer, Scene, nodes, shade, sum_over_samples
 from jaxlight.lighting import Plan, make_plan
 from jaxlight.raster.samples import MANY_LIGHTS
@@ -160,21 +161,6 @@ def test_pmap() -> None:
     scene, samples = scene_under_lights(1), buffer(1)
     stack = jax.tree.map(lambda leaf: leaf[None], samples)
     np.testing.assert_allclose(jax.pmap(lambda own: shade(scene, own))(stack)[0], shade(scene, samples), rtol=1e-5)
-
-
-def programs_of(function: Callable[[], Any]) -> int:
-    """How many programs are compiled by a call."""
-    compiled: list[str] = []
-    listening = True
-
-    def listen(event: str, *_: Any, **__: Any) -> None:
-        if listening and "backend_compile" in event:
-            compiled.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    jax.block_until_ready(function())
-    listening = False
-    return len(compiled)
 
 
 def test_numbers_recompile_only_where_they_change_what_is_skipped() -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from colored_bodies import colored_bodies
+from counted_work import programs_of
 from fit_scenes import precision
 from jaxlight import SampleBuffer, Scene, compiler_options, nodes, shade, sum_over_samples
 from jaxlight.lighting.totals import add_terms, added_up
@@ -129,6 +130,25 @@ def test_numbers_of_half_precision_are_added_up_in_single() -> None:
     assert wanted > 65536 and summed(scene).dtype == np.float32
     assert float(summed(scene)) == pytest.approx(wanted, rel=1e-6)
     assert float(jax.jit(jax.value_and_grad(summed))(scene)[0]) == pytest.approx(wanted, rel=1e-6)
+
+
+def test_gradients_outside_of_jit_are_compiled_once() -> None:
+    """Whatever numbers change, and though the function is made anew; another one is another program."""
+    scene, samples, target = two_surfaces("float32", 60)
+    stored = samples.in_storage_order(target, axis=0).T
+
+    def slope(scene: Scene, target: Any, exposure: float = 1.0, power: int = 2) -> Any:
+        factor = jnp.asarray(exposure)
+        return jax.grad(
+            lambda scene: sum_over_samples(lambda c, t: (factor * c[:3] - t) ** power, scene, samples, target)
+        )(scene)
+
+    brighter = eqx.tree_at(lambda scene: scene.point.intensity, scene, replace_fn=lambda old: old / 2)
+    one, other, double = slope(scene, stored), slope(brighter, stored / 2), slope(scene, stored, 2.0)
+    assert [programs_of(lambda own=own: slope(*own)) for own in ((scene, stored), (brighter, stored))] == [0, 0]
+    assert_leaves_close(slope(scene, stored), one, 0)
+    for found in (other, double, slope(scene, stored, power=4)):
+        assert not np.allclose(found.point.intensity, one.point.intensity, rtol=1e-3)
 
 
 def test_what_does_not_fit_is_named() -> None:

@@ -14,7 +14,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
@@ -22,6 +21,8 @@ from ..arrays import real_array
 from ..promotion import usual_promotion
 from ..raster.samples import LANES, SampleBuffer
 from ..scene import Scene
+from ..tracing import is_traced
+from .compiling import quick_jit
 from .lanes import on_all_lanes, on_fewer_lanes, packed, summed, unpacked
 from .meshes import Axes, axes_of, is_inside, left_to_xla, on_explicit_mesh, unaware, varying
 from .moved import moved_leaves
@@ -29,6 +30,7 @@ from .one_tile import Color, tile_color
 from .options import LightingOptions
 from .plan import Plan
 from .prepared import compute_dtype, prepare
+from .program import Program
 from .shade import checked, shade_planes
 from .stages import Stage
 from .tile_inputs import tile_of
@@ -88,17 +90,13 @@ def sum_over_samples(
     if jnp.issubdtype(given.dtype, jnp.complexfloating):
         raise ValueError(f"function: expected real numbers, got {given.dtype}")
 
-    def of_numbers_too(*operands: Array) -> Array:
-        of_samples, numbers = operands[: len(planes) + 1], operands[len(planes) + 1 :]
-        return jaxpr_as_fun(ClosedJaxpr(jaxpr.jaxpr, numbers))(*of_samples)[0]
-
     numbers = tuple(map(jnp.asarray, jaxpr.consts))
     if axes_of(numbers):  # that what it closes over varies, the function knows
         return _whole(function, plan, scene, samples, planes, ())
     axes = axes_of(scene, samples, planes)
     # Outside of jit `jax.shard_map` takes no rule that asks for symbolic zeros.
     summed = jax.jit(_sum, static_argnums=(0, 1, 2)) if is_inside() else _sum
-    return summed(of_numbers_too, plan, axes, *varying((scene, samples, planes, numbers), axes))
+    return summed(Program(jaxpr.jaxpr), plan, axes, *varying((scene, samples, planes, numbers), axes))
 
 
 Function = Callable[..., Array]
@@ -133,6 +131,8 @@ def _sum(function: Function, plan: Plan, axes: Axes, *operands: Any) -> Array:
 def _forward(function: Function, plan: Plan, axes: Axes, *operands: Any) -> tuple[Array, Any]:
     asked = jax.tree.map(lambda operand: operand.perturbed, operands)
     values = jax.tree.map(lambda operand: operand.value, operands)
+    if isinstance(function, Program) and function.key is not None and not is_traced(values):
+        return _slope_in_jit(function, plan, asked, *values)
     return unaware(partial(_with_slope, function, plan, asked), (), axes, *values)
 
 
@@ -153,6 +153,9 @@ def _with_slope(
     moving, fixed = eqx.partition((scene, samples, planes, numbers), asked)
     value, slope = jax.value_and_grad(lambda moving: _whole(function, plan, *eqx.combine(moving, fixed)))(moving)
     return value, slope
+
+
+_slope_in_jit = quick_jit(_with_slope)
 
 
 def _backward(function: Function, plan: Plan, axes: Axes, slope: Any, cotangent: Array) -> Any:

@@ -1,0 +1,62 @@
+"""Traced functions are equal where they compute the same, bit by bit, and only there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxlight import encode
+from jaxlight.lighting.program import Program
+
+COLORS = jnp.full((4, 16), 0.5)
+
+
+def program(function: Callable[..., Any]) -> Program:
+    return Program(jax.make_jaxpr(function)(COLORS).jaxpr)
+
+
+ALIKE: dict[str, Callable[..., Any]] = {
+    "arithmetic": lambda c: (c[:3] - 0.5) ** 2,
+    "choice": lambda c: jnp.where(jnp.abs(c) < 1, c * c / 2, jnp.abs(c) - 0.5),
+    "transfer function": lambda c: encode(c[:3], "srgb"),
+    "loop": lambda c: jax.lax.scan(lambda total, own: (total + own, own), c[0], c)[1],
+    "a constant array": lambda c: c * np.arange(16.0, dtype=np.float32),
+}
+
+
+@pytest.mark.parametrize("case", ALIKE)
+def test_what_is_traced_again_is_equal(case: str) -> None:
+    one, again = program(ALIKE[case]), program(lambda c: ALIKE[case](c))
+    assert one == again and hash(one) == hash(again)
+
+
+def test_any_other_number_makes_another_program() -> None:
+    different = [lambda c: c * 0.0, lambda c: c * -0.0, lambda c: c * 0.1, lambda c: c * 0.2, lambda c: c + 0.1]
+    programs = [program(one) for one in different]
+    assert len(set(programs)) == len(programs)
+    assert program(lambda c: c.sum(0)) != program(lambda c: c.max(0))
+    assert Program(jax.make_jaxpr(lambda c: c)(COLORS[:3]).jaxpr) != program(lambda c: c)
+
+
+def test_rules_of_a_derivative_cannot_be_compared() -> None:
+    def own(rule: float) -> Callable[..., Any]:
+        doubled = jax.custom_jvp(lambda c: 2 * c)
+        doubled.defjvp(lambda primals, tangents: (2 * primals[0], rule * tangents[0]))
+        return doubled
+
+    one, other = program(own(2.0)), program(own(3.0))
+    assert one != other and one == one and hash(one) == hash(one)
+    np.testing.assert_array_equal(one(COLORS), 2 * COLORS)
+
+
+def test_constants_are_given_anew() -> None:
+    factor = jnp.arange(16.0)
+    traced = jax.make_jaxpr(lambda c: factor * c)(COLORS)
+    one = Program(traced.jaxpr)
+    np.testing.assert_array_equal(one(COLORS, *traced.consts), factor * COLORS)
+    np.testing.assert_array_equal(one(COLORS, 2 * factor), 2 * factor * COLORS)
