@@ -102,6 +102,23 @@ def test_a_fit_of_what_no_picture_shows_is_no_success() -> None:
     assert fit(inside, noisy, free).outcome == "converged"
 
 
+def test_a_sum_of_which_no_picture_tells_the_parts_is_found_however_noisy_it_is() -> None:
+    """Ambient light beside emission: at the optimum no slope is more than rounding, and the curvature is singular."""
+    with precision("float64") as dtype:
+        lamp, samples = key_light(ambient_intensity=0.5, attenuation=(1.0, 0.0, 0.0)), sphere_samples(20)
+        clean = np.asarray(shade(sphere_scene(lamp, body=material(emissive_color=(0.2, 0.2, 0.2))), samples))[:, :3]
+        random = np.random.default_rng(0)
+        for _ in range(4):
+            own = material(
+                emissive_color=tuple(random.uniform(0.1, 0.5, 3)), ambient_intensity=random.uniform(0.1, 0.4)
+            )
+            view = View(samples, clean + random.normal(0, 0.01, clean.shape))
+            free = ["Material[body].ambient_intensity", "Material[body].emissive_color"]
+            result = fit(sphere_scene(lamp, body=own, dtype=dtype), view, free)
+            assert result.converged and len(result.history) < 10, result.message
+            assert result.uncertainty.ambiguities
+
+
 def test_an_interrupt_after_the_last_step_loses_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Whoever handles it hears of it afterwards."""
     heard, make = [], fitting.make_fit

@@ -299,12 +299,17 @@ def test_a_stated_noise_makes_errors_absolute() -> None:
     with precision("float64") as dtype:
         samples, picture = sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE)
         scene = sphere_scene(dtype=dtype)
-        errors = []
-        for noise in (0.01, 0.02):
-            problem, description = make_problem(scene, View(samples, picture, noise=noise), free)
-            errors.append(uncertainty(problem, description, problem.parameters.start).standard_error)
+        errors, said = [], []
+        for noise, weight in ((0.01, None), (0.02, None), (0.01, 0.25), (0.01, 1.0)):
+            view = View(samples, picture, noise=noise, weight=weight and np.full((SIZE, SIZE), weight))
+            problem, description = make_problem(scene, view, free)
+            found = uncertainty(problem, description, problem.parameters.start)
+            errors.append(found.standard_error)
+            said.append([text for text in found.messages() if "weight" in text])
     assert jax.config.jax_enable_x64 is False
-    np.testing.assert_allclose(errors[1], 2 * errors[0], rtol=1e-9)
+    for other, factor in ((1, 2), (2, 2), (3, 1)):
+        np.testing.assert_allclose(errors[other], factor * errors[0], rtol=1e-9)
+    assert [len(own) for own in said] == [0, 0, 1, 0] and "noise / sqrt(w)" in said[2][0]
 
 
 def large(scale: float, dtype: Any, size: int = SIZE) -> Any:

@@ -12,6 +12,9 @@ from jaxtyping import Array, Float
 from .curvature import Curvature
 from .strides import Strides
 
+ROUNDED = 16
+"""Units in the last place by which the slope of a column of length 1 may be wrong, for residuals of length 1."""
+
 
 class DescentState(eqx.Module):
     """The quadratic model at a point, and the largest column norms met so far."""
@@ -62,12 +65,24 @@ class BoxDampedNewton(optx.AbstractDescent):
         upper = jnp.minimum(self.upper, state.point + above)
         return self._step(1 / step_size, state, lower, upper)[0], optx.RESULTS.successful
 
-    def undamped(self, state: DescentState) -> tuple[Array, Array]:
-        """The step without damping, as far as the matrix can be trusted in this precision; and whether it is exact."""
-        return self._step(jnp.zeros((), state.point.dtype), state, self.lower, self.upper)
+    def undamped(self, state: DescentState, loss: Array) -> tuple[Array, Array]:
+        """The step without damping, as far as the matrix can be trusted in this precision; and whether it is exact.
+
+        Where no slope of this loss is more than rounding, so is every step that a singular matrix makes of it.
+        """
+        point, eps = state.point, jnp.finfo(state.point.dtype).eps
+        move, exact = self._step(jnp.zeros((), point.dtype), state, self.lower, self.upper)
+        scale = _scale(state)
+        downhill = jnp.clip(-state.gradient / scale, scale * (self.lower - point), scale * (self.upper - point))
+        at_rest = jnp.max(jnp.abs(downhill)) <= ROUNDED * eps * jnp.sqrt(2 * loss)
+        return jnp.where(exact | ~at_rest, move, 0), exact | at_rest
 
     def _step(self, damping: Array, state: DescentState, lower: Array, upper: Array) -> tuple[Array, Array]:
-        # A column of zeros (a field that nothing depends on here) gets scale 1: its gradient is 0, so it stays.
-        scale = jnp.where(state.scale > 0, state.scale, 1)
+        scale = _scale(state)
         lower, upper = jnp.minimum(lower - state.point, 0), jnp.maximum(upper - state.point, 0)
         return state.curvature.minimise(self.sampling, state.gradient, scale, damping, lower, upper)
+
+
+def _scale(state: DescentState) -> Array:
+    """Of a column of zeros (a field that nothing depends on here) 1: its gradient is 0, so it stays."""
+    return jnp.where(state.scale > 0, state.scale, 1)

@@ -76,6 +76,8 @@ class Description(NamedTuple):
     """Number of residuals that count (weight > 0)."""
     noise_known: bool
     """True when every view states its noise."""
+    weighted: bool
+    """True when a view that states it has weights besides, other than 0 and 1."""
     part: Part
     """What of the samples the fit begins with."""
     document: Any
@@ -141,8 +143,14 @@ def make_problem(
         and all(bool(np.isinf(one.saturated)) and bool(np.isinf(one.dark)) for one in data),
     )
     noise_known = all(view.noise is not None for view in each)
+    weighted = any(view.noise is not None and _weighs(view.weight) for view in each)
     part = WHOLE if parameters.blocks else choose_part(data, scene.surfaces)
-    return problem, Description(fields, labels, names, count, noise_known, part, scene.document)
+    return problem, Description(fields, labels, names, count, noise_known, weighted, part, scene.document)
+
+
+def _weighs(weight: Any) -> bool:
+    """Whether weights do more than leave out points."""
+    return weight is not None and not np.all(np.isin(np.asarray(weight), (0, 1)))
 
 
 def _check_names(names: Sequence[str]) -> None:

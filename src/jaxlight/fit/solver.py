@@ -140,7 +140,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             curvature = as_curvature(matrix)
             model = self._model(loss, gradient, curvature)
             descent_state = self.descent.query(trial, model, state.descent_state)
-            remaining, exact = self.descent.undamped(descent_state)
+            remaining, exact = self.descent.undamped(descent_state, loss)
             change = gradient + model.hessian.mv(remaining) / 2
             achievable = -jnp.vdot(remaining, change, precision="highest")
             step_norm = self.norm(remaining / (self.atol + self.rtol * jnp.abs(trial))).astype(trial.dtype)

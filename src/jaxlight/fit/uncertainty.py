@@ -167,7 +167,7 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
         ambiguities=tuple(ambiguities(seen, found, labels, description.fields, partners)),
         hardly_seen=tuple((labels[i], float(error[i])) for i in np.flatnonzero(hardly).tolist()),
         correlations=tuple(_correlations(covariance, labels, traded)),
-        remarks=() if left is None or description.noise_known else tuple(_remarks(problem, left.count, fitted)),
+        remarks=tuple(_remarks(problem, description, left, fitted)),
         unseen_texels=tuple(_unseen_texels(problem, reduced.rows)),
     )
 
@@ -205,12 +205,14 @@ def _noise(left: Leftover, fitted: float) -> tuple[float, float]:
     return noise, noise**2 * left.heard / left.count
 
 
-def _remarks(problem: Problem, residuals: float, fitted: float) -> list[str]:
-    """Of a fit whose noise is not stated."""
+def _remarks(problem: Problem, description: Description, left: Leftover | None, fitted: float) -> list[str]:
+    if description.noise_known:
+        weighted = "a point of weight w is taken for one whose noise is noise / sqrt(w): weights change the errors"
+        return [weighted] if description.weighted else []
     said = []
-    if residuals - fitted < 0.5:
+    if left is not None and left.count - fitted < 0.5:
         said.append(
-            f"the errors are not known: {residuals:.0f} residuals leave nothing to estimate their noise from; "
+            f"the errors are not known: {left.count:.0f} residuals leave nothing to estimate their noise from; "
             f"state the views' `noise`"
         )
     if problem.parameters.has_priors:

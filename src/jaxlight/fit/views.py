@@ -35,7 +35,8 @@ class View:
             bits, whose largest number is above 1, those below half of the range.
         weight: weight of the squared residual, >= 0, shape of the mask or of the target.
         noise: standard deviation of the picture's noise, > 0, a number or shape of the mask or of the target. Weights
-            the residuals by 1 / noise^2; stated in every view, it makes standard errors absolute.
+            the residuals by 1 / noise^2; stated in every view, it makes standard errors absolute: a point with a
+            `weight` besides counts as one whose noise is noise / sqrt(weight).
         exposure: factor between the scene's light and the picture's numbers; free it as `View[0].exposure`.
         lights: the light that shone, such as `"PointLight[3]"`, or several; None: all lights of the scene.
         saturated: > 0, values at or above are lower limits (the sensor was full), not measurements.
