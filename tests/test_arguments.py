@@ -125,6 +125,13 @@ def test_other_arguments_that_are_none(
     assert not list(tmp_path.iterdir())
 
 
+def test_a_result_is_described_without_what_it_was_made_from(result: Fit) -> None:
+    described = repr(result)
+    assert "outcome=" in described and "diffuse_color" in described
+    assert not any(f"{name}=" in described for name in ("document", "problem", "description", "state"))
+    assert len(described) < 4000
+
+
 def test_a_log_replaces_logs_only(scene: Scene, view: View, tmp_path: Path) -> None:
     other, log = tmp_path / "scene.x3d", tmp_path / "log.jsonl"
     other.write_text("<X3D/>")

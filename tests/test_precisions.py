@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -14,7 +16,7 @@ import pytest
 
 from cases_to_scenes import options_of, scene_and_sample
 from fit_scenes import precision
-from jaxlight import LightingOptions, Scene, nodes, shade
+from jaxlight import LightingOptions, Scene, load, nodes, rasterize, shade
 from jaxlight.lighting import highlight
 from jaxlight.raster import SampleBuffer
 from oracle.cases import well_conditioned_cases
@@ -47,6 +49,25 @@ def test_float32_is_the_same_with_and_without_x64() -> None:
             found.append(np.asarray(shade(spot_in_fog(dtype), samples)))
     assert found[0].dtype == found[1].dtype == np.float32
     np.testing.assert_array_equal(found[0], found[1])
+
+
+DOUBLE: dict[str, Callable[[Path], Any]] = {
+    "dtype": lambda path: Scene.from_nodes(nodes.PointLight(), dtype="float64"),
+    "load: dtype": lambda path: load(path, dtype=np.float64),
+    "SampleBuffer: dtype": lambda path: SampleBuffer.create(*rows(3), EYE, dtype=jnp.float64),
+    "rasterize: dtype": lambda path: rasterize(load(path), width=4, height=4, dtype=float),
+}
+
+
+@pytest.mark.parametrize("where", DOUBLE)
+def test_float64_that_jax_would_make_float32_is_refused(where: str, tmp_path: Path) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text("<X3D><Scene><Shape><Box/></Shape></Scene></X3D>")
+    with precision("float32"), pytest.raises(ValueError, match=f"^{where}: .*float64.*jax_enable_x64"):
+        DOUBLE[where](path)
+    with precision("float64"):
+        leaves = jax.tree.leaves(DOUBLE[where](path))
+        assert {leaf.dtype.name for leaf in leaves if leaf.dtype.kind == "f"} == {"float64"}
 
 
 def halved(tree: Any, half: Any) -> Any:

@@ -404,3 +404,12 @@ def test_loading_a_file_equals_building_the_scene_in_python(tmp_path: Path) -> N
             assert x == y if not hasattr(x, "shape") else np.array_equal(x, y), f"{name}.{field}"
     assert loaded.surfaces == built.surfaces
     assert loaded.document.source is not None and built.document.source is None
+
+
+def test_what_was_read_is_described_in_few_words(tmp_path: Path) -> None:
+    """Not by the bytes of the file, nor by where each of its nodes stands."""
+    path = tmp_path / "scene.x3d"
+    path.write_text(x3d("".join(f"<Transform translation='{i} 0 0'><Group/></Transform>" for i in range(2000))))
+    scene = load(path)
+    assert len(repr(scene)) < 2000
+    assert len(repr(scene.document.source)) < 500

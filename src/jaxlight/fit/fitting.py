@@ -58,9 +58,9 @@ class Fit:
     outcome: Outcome
     message: str
     history: tuple[Step, ...]
-    problem: Problem
-    description: Description
-    state: FitState
+    problem: Problem = dataclasses.field(repr=False)
+    description: Description = dataclasses.field(repr=False)
+    state: FitState = dataclasses.field(repr=False)
 
     @functools.cached_property
     def uncertainty(self) -> Uncertainty:

@@ -48,17 +48,20 @@ def load(path: str | Path, *, dtype: Any = None) -> Scene:
 
     Args:
         path: X3D (XML encoding), glb, obj with its mtl, ply or stl.
-        dtype: type of the scene's numbers, float32 or float64; default: JAX's (float64 when x64 is enabled).
+        dtype: type of the scene's numbers, as in `Scene.from_nodes`.
 
     Returns:
         The scene, with the nodes that it came from in its document.
 
     Raises:
         SceneFileError: the file cannot be read, or is not what it should be; says where and why.
+        ValueError: another type.
     """
     from ..scene import Scene
+    from ..scene.fields import float_type
     from ..scene.flatten import MAX_PLACED
 
+    dtype = float_type("load: dtype", dtype)
     path = Path(path)
     read = _read(path)
     if _placed(read.children) > MAX_PLACED:  # counted first: to place them takes long

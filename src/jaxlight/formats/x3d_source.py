@@ -13,10 +13,10 @@ class X3DSource:
     """The bytes of an X3D file in its XML encoding and where each node stands in them."""
 
     path: Path
-    data: bytes
-    element_numbers: dict[nodes.Node, int]
+    data: bytes = dataclasses.field(repr=False)
+    element_numbers: dict[nodes.Node, int] = dataclasses.field(repr=False)
     """How many start tags stand before the node's own in the file."""
-    texture_files: dict[nodes.Node, Path]
+    texture_files: dict[nodes.Node, Path] = dataclasses.field(repr=False)
     """The file behind each ImageTexture that was read."""
     angle_unit: float
     """Radians in one angle unit of the file."""

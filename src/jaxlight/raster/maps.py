@@ -80,7 +80,7 @@ def samples_from_maps(
             depth cameras and renderers give it; "distance": from the eye along the ray.
         texel_per_pixel: give each pixel the texel of its own in a texture [height, width], whose row 0 is at the
             bottom: per-pixel unknowns (albedo) are then a texture of the scene.
-        dtype: float type of the buffer (default: JAX's).
+        dtype: float type of the buffer, as in `SampleBuffer.create`.
 
     Returns:
         Samples in Morton order over the pixels; `pixel` counts row by row from the top left.

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..scene import Scene, nodes
+from ..scene.fields import float_type
 from .camera import Camera
 from .depth_buffer import rows_of
 from .face_depth import PreparedFaces
@@ -41,21 +42,22 @@ def rasterize(
         camera: a Camera, a Viewpoint (of the scene: with the transforms above it), or None: `Camera.default`.
         width, height: size of the picture in pixels.
         samples: rays a pixel: 1 through its centre, or k on a rotated grid, each of which covers 1/k of the pixel.
-        dtype: float type of the buffer (default: JAX's).
+        dtype: float type of the buffer, as in `SampleBuffer.create`.
 
     Returns:
         Samples ordered by surface, and within a surface along a Morton curve over the pixels, so that neighbours in the
         buffer are neighbours in the picture (under many lights: in space). `pixel` counts row by row from the top left.
 
     Raises:
-        ValueError: a size that is not a whole number in range, a geometry with a bad index, one that lies farther from
-            the origin than 1e100, too many triangles (more than 2^25 of all placed shapes together).
+        ValueError: a size that is not a whole number in range, another type, a geometry with a bad index, one that
+            lies farther from the origin than 1e100, too many triangles (more than 2^25 of all placed shapes together).
 
     Warns:
         UserWarning: nothing is seen, or the scene has no geometry; the buffer then has no samples.
     """
     if not isinstance(scene, Scene):
         raise ValueError(f"rasterize: scene: expected a Scene, got {type(scene).__name__}")
+    dtype = float_type("rasterize: dtype", dtype)
     width, height = _size(width, height, samples)
     offsets = sample_pattern(samples)
     camera = _camera(scene, camera)

@@ -112,7 +112,8 @@ class SampleBuffer(eqx.Module):
             tile: samples a tile, a power of two (default: chosen from N).
             by_place: store neighbours in space together, whatever the order of the rows. Worth it for many lights with
                 a small radius, of which a cluster of samples then meets few.
-            dtype: float64, float32, float16 or bfloat16, the type of the arrays (default: JAX's float type).
+            dtype: float64 (where x64 is enabled), float32, float16 or bfloat16, the type of the arrays; default: JAX's
+                (float64 where x64 is enabled, otherwise float32).
 
         Raises:
             ValueError: a shape, a type, a value or an index that does not fit; says which.

@@ -50,5 +50,5 @@ class Document:
     spot: tuple[nodes.SpotLight, ...]
     textures: tuple[nodes.ImageTexture | nodes.PixelTexture, ...]
     fog: nodes.Fog | None
-    source: Any = None
+    source: Any = dataclasses.field(default=None, repr=False)
     """What the formats stage keeps of the file that the nodes were read from, to write the scene back into it."""

@@ -10,6 +10,7 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -127,7 +128,7 @@ _FLOATS = tuple(map(jnp.dtype, (jnp.float64, jnp.float32, jnp.float16, jnp.bfloa
 
 
 def float_type(where: str, value: Any) -> jnp.dtype | None:
-    """A type of floating-point numbers that shading takes; None, JAX's own, stays."""
+    """A type of floating-point numbers that shading takes and JAX now has; None, JAX's own, stays."""
     allowed = f"a floating-point type such as 'float32' (one of {', '.join(dtype.name for dtype in _FLOATS)})"
     try:
         dtype = None if value is None else jnp.dtype(value)
@@ -135,6 +136,8 @@ def float_type(where: str, value: Any) -> jnp.dtype | None:
         raise _refuse(where, value, allowed) from None
     if dtype is not None and dtype not in _FLOATS:
         raise _refuse(where, value, allowed)
+    if dtype == np.float64 and not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise _refuse(where, value, 'a type that JAX now has (float64 needs jax.config.update("jax_enable_x64", True))')
     return dtype
 
 

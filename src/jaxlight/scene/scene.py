@@ -143,7 +143,7 @@ class Scene(eqx.Module):
     fog: Fog | None
     textures: tuple[Texture, ...]
     surfaces: tuple[Surface, ...] = eqx.field(static=True)
-    document: Document = eqx.field(static=True)
+    document: Document = eqx.field(static=True, repr=False)
 
     @classmethod
     def from_nodes(cls, children: nodes.Node | Sequence[nodes.Node], *, dtype: Any = None) -> Scene:
@@ -151,10 +151,11 @@ class Scene(eqx.Module):
 
         Args:
             children: the scene's root nodes.
-            dtype: type of the leaves, float32 or float64; default: JAX's (float64 when x64 is enabled).
+            dtype: type of the leaves, float64 (where x64 is enabled), float32, float16 or bfloat16; default: JAX's
+                (float64 where x64 is enabled, otherwise float32).
 
         Raises:
-            ValueError: nesting or size beyond the stated limits, or a singular Transform.
+            ValueError: nesting or size beyond the stated limits, a singular Transform, or another type.
         """
         from .flatten import scene_from_nodes
 
