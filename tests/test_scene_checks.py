@@ -60,6 +60,7 @@ LEAVES: list[tuple[Callable[[Scene], Any], Any, str]] = [
         r"floating-point numbers .*got int64 of shape \[2, 3\]",
     ),
     (lambda s: s.materials.shininess, 0.5, r"Material\.shininess: .* \[2\], got a float"),
+    (lambda s: s.materials.shininess, 1, r"Material\.shininess: .* \[2\], got an int"),
     (
         lambda s: s.directional.intensity,
         jnp.ones(()),

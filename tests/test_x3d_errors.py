@@ -24,6 +24,7 @@ ERRORS = [
     ("<Fog fogType='CUBIC'/>", "Fog.fog_type: expected 'LINEAR' or 'EXPONENTIAL'"),
     ("<Shape><Appearance><Box/></Appearance></Shape>", "a Box cannot stand in <Appearance>"),
     ("<Group><Material/></Group>", "a Material cannot stand in <Group>"),
+    ("<Group><Appearance/></Group>", "an Appearance cannot stand in <Group>"),
     ("<Box/>", "a Box cannot stand in <Scene>"),
     ("<Shape><Box/><Sphere/></Shape>", "takes one node as geometry, this is the second"),
     ("<Shape><Box containerField='appearance'/></Shape>", "a Box cannot stand in <Shape>"),

@@ -256,6 +256,23 @@ def test_one_warning_counts_and_names_what_is_skipped(tmp_path: Path) -> None:
     assert str(path) in text
 
 
+NO_MATERIAL = [
+    ("<PhysicalMaterial/>", 1),
+    ("<ProtoInstance name='P' containerField='material'/>", 1),
+    ("<UnlitMaterial containerField='backMaterial'/><Material/>", 0),
+    ("<FillProperties/><Material/>", 0),
+]
+
+
+@pytest.mark.parametrize(("inside", "count"), NO_MATERIAL)
+def test_what_becomes_of_a_shape_whose_material_is_skipped_is_said(tmp_path: Path, inside: str, count: int) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(x3d(f"<Shape><Appearance>{inside}</Appearance><Box/></Shape>"))
+    text = one_warning(path)
+    assert f"{inside[1:].split()[0].split('/')[0]} x1" in text
+    assert ("Appearance without its material (unlit: white, or its own colours) x1" in text) == bool(count)
+
+
 MISSPELT = [
     ("<Shape><Appearance><Material DEF='m' difuseColor='1 0 0'/></Appearance></Shape>",
      r"Material\[m\].difuseColor \(line 3; diffuseColor is meant\?\)"),
@@ -359,6 +376,7 @@ def test_use_of_a_node_inside_a_skipped_one(tmp_path: Path) -> None:
 CLAMPED = [
     ("<Fog color='1.0000001 -0.5 0.5'/>", n.Fog(color=(1, 0, 0.5)), r"Fog.color \(line 3\)"),
     ("<PointLight DEF='p' ambientIntensity='2'/>", n.PointLight(name="p", ambient_intensity=1), r"PointLight\[p\]"),
+    ("<Fog visibilityRange='-5'/>", n.Fog(), r"Fog.visibilityRange \(line 3\)"),
     ("<PointLight intensity='-1' radius='-1'/>", n.PointLight(intensity=0, radius=0), "2 values"),
     (
         "<SpotLight beamWidth='0' cutOffAngle='3'/>",

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from jaxlight.scene import Scene
-    from jaxlight.scene.document import Document
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,9 +44,12 @@ class Info:
 
 def describe(scene: Scene) -> dict[str, Any]:
     """What the scene holds, as data that JSON can carry."""
+    from jaxlight.formats.x3d_writer import all_nodes
+
     document = scene.document
+    kinds = collections.Counter(type(node).__name__ for node in all_nodes(document.children))
     return {
-        "nodes": dict(sorted(_node_counts(document).items())),
+        "nodes": dict(sorted(kinds.items())),
         "shapes": _shapes(scene),
         "viewpoints": [
             {
@@ -68,25 +70,6 @@ def describe(scene: Scene) -> dict[str, Any]:
         ],
         "fields": _fields(scene),
     }
-
-
-def _node_counts(document: Document) -> collections.Counter[str]:
-    """Distinct nodes by kind; one that is used again counts once."""
-    from jaxlight.scene.nodes import Node
-
-    seen: dict[int, Node] = {}
-    waiting: list[Any] = list(document.children)
-    while waiting:
-        node = waiting.pop()
-        if id(node) in seen:
-            continue
-        seen[id(node)] = node
-        for field in dataclasses.fields(node):
-            value = getattr(node, field.name)
-            waiting.extend(
-                child for child in (value if isinstance(value, tuple) else (value,)) if isinstance(child, Node)
-            )
-    return collections.Counter(type(node).__name__ for node in seen.values())
 
 
 def _shapes(scene: Scene) -> list[dict[str, Any]]:

@@ -59,14 +59,13 @@ def load(path: str | Path, *, dtype: Any = None) -> Scene:
     """
     from ..scene import Scene
     from ..scene.fields import float_type
-    from ..scene.flatten import MAX_PLACED
+    from ..scene.flatten import MAX_PLACED, TOO_MANY_PLACED
 
     dtype = float_type("load: dtype", dtype)
     path = Path(path)
     read = _read(path)
     if _placed(read.children) > MAX_PLACED:  # counted first: to place them takes long
-        what = f"scene: more than {MAX_PLACED} placed nodes (a node used again counts every time)"
-        raise SceneFileError(path, None, what)
+        raise SceneFileError(path, None, TOO_MANY_PLACED)
     try:
         scene = Scene.from_nodes(read.children, dtype=dtype)
     except ValueError as error:

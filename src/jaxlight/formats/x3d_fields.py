@@ -31,7 +31,7 @@ _UNIT_INTERVAL = {
     "ambient_intensity", "color", "diffuse_color", "emissive_color", "shininess", "sky_color", "specular_color",
     "transparency",
 }  # fmt: skip
-_NON_NEGATIVE = {"attenuation", "crease_angle", "intensity"}
+_NON_NEGATIVE = {"attenuation", "crease_angle", "intensity", "visibility_range"}
 _SMALLEST_CONE = 1e-6
 """Radians. Files write a beamWidth of 0; the range is (0, pi/2]."""
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..scene import nodes
+from ..scene.fields import with_article
 from .errors import SceneFileError
 from .folder import ResourceFolder
 from .limits import MAX_NESTING
@@ -247,6 +248,8 @@ class _Reader:
             if node is None:
                 if kind is nodes.Switch and is_child_node(element):
                     fields.setdefault("children", []).append(nodes.Group())  # keeps the count of which_choice
+                if kind is nodes.Appearance and _is_material(element):
+                    self.notes.simplified["Appearance without its material (unlit: white, or its own colours)"] += 1
                 continue
             name = self._field_for(kind, parent, element, node)
             if name == "children":
@@ -270,7 +273,7 @@ class _Reader:
                 return None
             takes = [name] if name in takes else []
         if not takes:
-            raise self._error(element, f"a {type(node).__name__} cannot stand in <{parent.tag}>")
+            raise self._error(element, f"{with_article(type(node).__name__)} cannot stand in <{parent.tag}>")
         return takes[0]
 
     def _image(self, element: Element, urls: tuple[str, ...]) -> tuple[Any, Path | None]:
@@ -295,6 +298,12 @@ class _Reader:
 
 def _is_known(element: Element) -> bool:
     return element.tag in nodes.NODE_TYPES or element.tag in SIMPLIFIED
+
+
+def _is_material(element: Element) -> bool:
+    """Whether an element stands for the material of an Appearance, as X3D 4 has several kinds of it."""
+    default = "material" if element.tag.endswith("Material") else ""
+    return (element.attributes.get("containerField", "").strip() or default) == "material"
 
 
 def _accepted(node: nodes.Node, kinds: tuple[str, ...]) -> bool:

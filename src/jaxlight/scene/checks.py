@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from .fields import with_article
 from .flags import Flags
 from .paths import ATTRIBUTES, LIGHT_KINDS
 from .scene import DirectionalLights, Fog, Materials, PointLights, Scene, SpotLights, Surface, Texture
@@ -128,7 +129,9 @@ def _check_flags(name: str, owner: Any, surfaces: int) -> None:
     for field, shape in (("on", (count,)), ("in_scope", (surfaces, count))):
         flags = getattr(owner, field)
         if not isinstance(flags, Flags) or flags.array.shape != shape:
-            told = f"shape {list(flags.array.shape)}" if isinstance(flags, Flags) else f"a {type(flags).__name__}"
+            told = (
+                f"shape {list(flags.array.shape)}" if isinstance(flags, Flags) else with_article(type(flags).__name__)
+            )
             raise ValueError(f"{name}.{field}: expected Flags of shape {list(shape)}, got {told}")
 
 
@@ -176,4 +179,4 @@ def _is_of_shape(shape: tuple[int, ...], expected: list[int | str]) -> bool:
 def _told(leaf: Any) -> str:
     if hasattr(leaf, "dtype"):
         return f"{leaf.dtype} of shape {list(leaf.shape)}"
-    return f"a {type(leaf).__name__}"
+    return with_article(type(leaf).__name__)

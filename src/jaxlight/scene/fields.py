@@ -15,6 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 
+def with_article(name: str) -> str:
+    """`a Box`, `an Appearance`."""
+    return f"{'an' if name[:1].lower() in 'aeiou' else 'a'} {name}"
+
+
 def _refuse(where: str, value: Any, allowed: str) -> ValueError:
     shown = np.array2string(value, threshold=6) if isinstance(value, np.ndarray) else repr(value)
     in_one_line = " ".join(map(str.strip, shown.splitlines()))

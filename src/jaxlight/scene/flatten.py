@@ -11,13 +11,14 @@ import numpy as np
 from ..arrays import array_of
 from . import nodes
 from .document import Document, PlacedBackground, PlacedShape, PlacedViewpoint
-from .fields import float_type, largest_of
+from .fields import float_type, largest_of, with_article
 from .flags import Flags
 from .scene import DirectionalLights, Fog, Materials, PointLights, Scene, SpotLights, Surface, Texture
 from .transforms import IDENTITY, compose, frame_kind, is_invertible, transform_matrix
 
 MAX_DEPTH = 400
 MAX_PLACED = 1_000_000
+TOO_MANY_PLACED = f"scene: more than {MAX_PLACED} placed nodes (a node used again counts every time)"
 MAX_SCOPED = 10_000_000
 
 _Light = nodes.DirectionalLight | nodes.PointLight | nodes.SpotLight
@@ -59,7 +60,7 @@ class _Walk:
     def visit(self, node: nodes.Node, to_world: np.ndarray, above: tuple[int, ...]) -> None:
         self.visited += 1
         if self.visited > MAX_PLACED:
-            raise ValueError(f"scene: more than {MAX_PLACED} placed nodes (a node used again counts every time)")
+            raise ValueError(TOO_MANY_PLACED)
         match node:
             case nodes.Transform() if 0.0 in node.scale:
                 pass
@@ -87,7 +88,9 @@ class _Walk:
             case nodes.NavigationInfo():
                 self.navigation.append(node)
             case _:
-                raise ValueError(f"scene: a {type(node).__name__} cannot stand among the children of a group")
+                raise ValueError(
+                    f"scene: {with_article(type(node).__name__)} cannot stand among the children of a group"
+                )
 
 
 def shown_below(node: nodes.Node) -> tuple[nodes.Node, ...]:
