@@ -28,7 +28,7 @@ def scene() -> Scene:
             nodes.PointLight(name="fill"),
             nodes.SpotLight(name="7"),
             nodes.DirectionalLight(),
-            nodes.Fog(visibility_range=3.0),
+            nodes.Fog(name="mist", visibility_range=3.0),
         ]
     )
 
@@ -65,6 +65,16 @@ CASES = {
     "DirectionalLight.direction.x": {"DirectionalLight.direction": [(0, 0)]},
     "Fog.visibilityRange": {"Fog.visibility_range": [()]},
     "Fog.*": {"Fog.color": [(0,), (1,), (2,)], "Fog.visibility_range": [()]},
+    "Fog[0].color.b": {"Fog.color": [(2,)]},
+    "Fog[m*].visibility_range": {"Fog.visibility_range": [()]},
+    "Material[body].diffuse*": {"Material.diffuse_color": [(0, 0), (0, 1), (0, 2)]},
+    "Material[1].s*": {"Material.shininess": [(1,)], "Material.specular_color": [(1, 0), (1, 1), (1, 2)]},
+    "Material[1].*_color.g": {
+        "Material.diffuse_color": [(1, 1)],
+        "Material.emissive_color": [(1, 1)],
+        "Material.specular_color": [(1, 1)],
+    },
+    "PointLight[?ill*].?ntensity": {"PointLight.intensity": [(2,), (3,)]},
     "PixelTexture[wood].image[1][2][0]": {"Texture.image": [(1, 2, 0)]},
 }
 
@@ -96,6 +106,9 @@ WRONG = {
     "Material[body].diffuse_color.x": r"no component 'x'; components: r, g, b",
     "Material[body].shininess.r": r"none: it is one number",
     "PointLight[0].attenuation[3]": r"the field has shape \[3\]",
+    "Material[body].diffuse": r"closest: Material\[body\].diffuse_color",
+    "Fog[1].color": r"no field 'Fog\[1\].color'; the closest: Fog.color",
+    "Fog[fog*].color": r"no field 'Fog\[fog\*\].color'; the closest: Fog.color",
     "shininess": r"expected the form 'Material\[name or row\].diffuse_color'",
     "PointLight[0].on": r"no field 'PointLight\[0\].on'",
 }

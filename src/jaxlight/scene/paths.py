@@ -3,6 +3,7 @@
 Material[body].diffuse_color     the row with the DEF name `body`
 PointLight[0].location           the row number 0
 PointLight[*].intensity          every row; any shell pattern works on names
+Material[body].diffuse*          every field that matches: * and ?
 Material[body].diffuse_color.r   one component (r g b, x y z or a number)
 Fog.color, Texture[0].image      X3D's spelling (diffuseColor) is understood too
 lambda s: s.materials.shininess  a leaf or part of a leaf of the Scene
