@@ -3,7 +3,8 @@
 In: data/spot/spot.x3d (geometry and camera; its material and light are what the program was given, here the truth to
 compare with) and data/spot/spot_256.png, 8 bits a channel, made as data/spot/HOW_IT_WAS_MADE.txt says.
 Out (folder --output): fitted.x3d, the scene with what was found; fitted.png, its picture; report.html, a page on what
-the fit did; report.txt, the printed table: each free number, its truth, start, error, and the error that 8 bits allow.
+the fit did; report.txt, the printed table: each free number, its truth, start, error, and the standard error that
+rounding to 8 bits leaves it: about two errors of three are smaller.
 
 Free are the diffuse and specular colour, the shininess and the place of the lamp, from a start that is wrong in all of
 them. The lamp's colour and attenuation are known: only their product with the material's colours can be seen.
@@ -42,8 +43,8 @@ class Figures(NamedTuple):
     truth: np.ndarray
     start: np.ndarray
     fitted: np.ndarray
-    allowed: np.ndarray
-    """Standard error of each number when every channel of the picture is rounded to 8 bits."""
+    standard_error: np.ndarray
+    """Of each number, when every channel of the picture is rounded to 8 bits."""
     rms: float
     largest: float
     steps: int
@@ -72,10 +73,10 @@ def wrong_start(truth: Scene) -> Scene:
 
 def report(found: Fit, figures: Figures, size: int) -> str:
     """The table of the fitted numbers, and how the pictures compare."""
-    columns = (figures.truth, figures.start, figures.fitted, figures.fitted - figures.truth, figures.allowed)
+    columns = (figures.truth, figures.start, figures.fitted, figures.fitted - figures.truth, figures.standard_error)
     rows = [
-        [label, f"{true:.4f}", f"{start:.4f}", f"{value:.5f}", f"{error:+.5f}", f"{allowed:.5f}"]
-        for label, true, start, value, error, allowed in zip(figures.labels, *columns, strict=True)
+        [label, f"{true:.4f}", f"{start:.4f}", f"{value:.5f}", f"{error:+.5f}", f"{typical:.5f}"]
+        for label, true, start, value, error, typical in zip(figures.labels, *columns, strict=True)
     ]
     return "\n".join(
         [
@@ -83,7 +84,7 @@ def report(found: Fit, figures: Figures, size: int) -> str:
             found.message,
             *found.uncertainty.messages(),
             "",
-            table(["field", "truth", "start", "fitted", "error", "8 bits allow"], rows),
+            table(["field", "truth", "start", "fitted", "error", "standard error"], rows),
             "",
             f"Fit against picture, in levels of 255: RMS {figures.rms:.3f}, largest {figures.largest:.3f}"
             " (rounding to 8 bits alone: 0.289 and 0.5)",
@@ -112,7 +113,7 @@ def main(output: Path = Path("output/01_material_from_render"), size: Literal[25
         truth=numbers(truth),
         start=numbers(start),
         fitted=numbers(found.scene),
-        allowed=found.uncertainty.standard_error,
+        standard_error=found.uncertainty.standard_error,
         rms=float(np.sqrt(np.mean(levels**2))),
         largest=float(levels.max()),
         steps=found.accepted_steps,
