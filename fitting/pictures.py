@@ -2,35 +2,51 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from jaxlight.formats.quantize import quantize
 
-CAPTION = 18
-"""Height of a caption in pixels."""
+FONT = ImageFont.load_default()
+LINE, MARGIN = 12, 4
+"""Height of a line of a caption and the space around it, in pixels."""
 
 
 def save_grid(path: Path, rows: Sequence[Mapping[str, np.ndarray]]) -> None:
     """Write pictures of one size as a grid, each under its caption.
 
     Args:
-        rows: caption -> [height, width] or [height, width, 3], numbers in [0, 1] (clamped, then rounded).
+        rows: caption -> [height, width] or [height, width, 3], numbers in [0, 1] (clamped, then rounded). Captions that
+            are wider than a picture take several lines.
     """
     height, width = next(iter(rows[0].values())).shape[:2]
     columns = max(len(row) for row in rows)
-    sheet = Image.new("RGB", (columns * width, len(rows) * (height + CAPTION)), "white")
+    captions = {caption: wrapped(caption, width - 2 * MARGIN) for row in rows for caption in row}
+    above = max(map(len, captions.values())) * LINE + MARGIN
+    sheet = Image.new("RGB", (columns * width, len(rows) * (above + height)), "white")
     for y, row in enumerate(rows):
         for x, (caption, picture) in enumerate(row.items()):
-            corner = (x * width, y * (height + CAPTION))
-            sheet.paste(Image.fromarray(quantize(picture)).convert("RGB"), (corner[0], corner[1] + CAPTION))
-            label = Image.new("RGB", (width, CAPTION), "white")
-            ImageDraw.Draw(label).text((4, 3), caption, fill="black")
+            corner = (x * width, y * (above + height))
+            sheet.paste(Image.fromarray(quantize(picture)).convert("RGB"), (corner[0], corner[1] + above))
+            label = Image.new("RGB", (width, above), "white")
+            for i, line in enumerate(captions[caption]):
+                ImageDraw.Draw(label).text((MARGIN, i * LINE + 2), line, fill="black", font=FONT)
             sheet.paste(label, corner)
     sheet.save(path)
+
+
+def wrapped(caption: str, width: int) -> list[str]:
+    """A caption in lines of at most so many pixels, broken after spaces and hyphens."""
+    lines = [""]
+    for word in re.findall(r"[^\s-]*[\s-]?", caption):
+        if lines[-1] and FONT.getlength((lines[-1] + word).rstrip()) > width:
+            lines.append("")
+        lines[-1] += word
+    return lines
 
 
 def signed(difference: np.ndarray, full: float) -> np.ndarray:

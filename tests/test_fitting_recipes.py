@@ -203,3 +203,14 @@ def test_recipe_03_fits_measured_materials_as_well_as_a_brute_force_search(tmp_p
         assert each.error >= each.brute_force * (1 - 1e-3), each.name
     assert sum(each.error < 0.2 for each in figures) >= 6
     assert (tmp_path / "materials.png").stat().st_size > 10_000
+
+
+def test_captions_are_whole_and_keep_to_their_cell(tmp_path: Path) -> None:
+    """Long ones in several lines: two that differ only at their end look different, and none reaches its cell's rim."""
+    width, names = 96, ["X3D color-changing-paint1", "X3D color-changing-paint3", "X3D special-walnut-224"]
+    recipe("pictures").save_grid(tmp_path / "grid.png", [{name: np.ones((8, width, 3)) for name in names}])
+    sheet = np.asarray(Image.open(tmp_path / "grid.png").convert("L"))
+    first, second, third = (sheet[:, i * width : (i + 1) * width] for i in range(3))
+    assert np.any(first != second)
+    for cell in (first, second, third):
+        assert cell.min() < 128 and np.all(cell[:, [0, 1, -2, -1]] == 255)
