@@ -88,7 +88,8 @@ def picture(values, background=0.0) -> np.ndarray:
 
 def show(pictures: dict, **options) -> None:
     """Pictures side by side under their titles."""
-    figure, axes = plt.subplots(1, len(pictures), figsize=(3.1 * len(pictures), 3.3), squeeze=False)
+    figure, axes = plt.subplots(1, len(pictures), squeeze=False, layout="compressed")
+    figure.set_size_inches(3.1 * len(pictures), 3.3)
     for axis, (title, image) in zip(axes[0], pictures.items(), strict=True):
         shown = axis.imshow(np.clip(image, 0, 1) if image.ndim == 3 else image, **options)
         axis.set_title(title, fontsize=9)
@@ -162,9 +163,9 @@ show({f"shininess {x}": shaded(make_scene(shininess=x)) for x in (0.01, 0.1, 0.4
 # %%
 curves = {(1.0, 0.0, 0.0): "constant", (0.0, 0.4, 0.0): "linear", (0.0, 0.0, 0.16): "quadratic"}
 distance = np.linspace(0, 8, 200)
+plt.figure(figsize=(6, 2.6), layout="constrained")
 for (c1, c2, c3), name in curves.items():
     plt.plot(distance, 1 / np.maximum(c1 + c2 * distance + c3 * distance**2, 1), label=f"{name}: {c1}, {c2}, {c3}")
-plt.gcf().set_size_inches(6, 2.6)
 plt.xlabel("$d_L$")
 plt.ylabel("attenuation")
 plt.legend()
@@ -267,11 +268,14 @@ def moved(x):
 
 red, tangent = jax.jvp(moved, (0.0,), (1.0,))
 row, columns = 120, slice(60, 180)
-figure, (left, right) = plt.subplots(1, 2, figsize=(9, 2.8))
+figure, (left, right) = plt.subplots(1, 2, figsize=(9, 2.8), layout="constrained")
 left.plot(picture(red)[row, columns])
 left.set_title("diffuse term along a line across the ball", fontsize=9)
 right.plot(picture(tangent)[row, columns])
 right.set_title("its derivative by the light's x", fontsize=9)
+for axis, quantity in ((left, "red"), (right, "change of red by a unit of x")):
+    axis.set_xlabel("pixels along the line")
+    axis.set_ylabel(quantity)
 plt.show()
 
 # %% [markdown]

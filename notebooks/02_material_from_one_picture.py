@@ -70,16 +70,10 @@ for leaf, value in START:
     start = eqx.tree_at(leaf, start, jnp.broadcast_to(jnp.asarray(value, jnp.float32), leaf(start).shape))
 
 
-def picture(scene: jl.Scene) -> np.ndarray:
-    """The scene's picture [height, width, 3] on black."""
-    image = np.zeros((height * width, 3))
-    image[np.asarray(samples.pixel)] = np.asarray(jl.shade(scene, samples))[:, :3]
-    return image.reshape(height, width, 3)
-
-
 def show(pictures: dict, **options) -> None:
     """Pictures side by side under their titles."""
-    figure, axes = plt.subplots(1, len(pictures), figsize=(3.6 * len(pictures), 3.8), squeeze=False)
+    figure, axes = plt.subplots(1, len(pictures), squeeze=False, layout="compressed")
+    figure.set_size_inches(3.6 * len(pictures), 3.8)
     for axis, (title, image) in zip(axes[0], pictures.items(), strict=True):
         shown = axis.imshow(image if options else np.clip(image, 0, 1), **options)
         axis.set_title(title, fontsize=9)
@@ -89,7 +83,7 @@ def show(pictures: dict, **options) -> None:
     plt.show()
 
 
-show({"the picture": target, "the first guess": picture(start)})
+show({"the picture": target, "the first guess": jl.render(start, samples)})
 
 # %% [markdown]
 # ## The fit
@@ -102,7 +96,7 @@ result = jl.fit(start, jl.View(samples, target), FREE)
 print(result)
 
 # %%
-plt.figure(figsize=(6, 2.8))
+plt.figure(figsize=(6, 2.8), layout="constrained")
 plt.semilogy([step.step for step in result.history], [step.rms for step in result.history], "o-")
 plt.axhline(1 / 255 / np.sqrt(12), color="0.6", linestyle="--", label="what rounding to 8 bits leaves")
 plt.xlabel("step")
@@ -116,8 +110,9 @@ assert result.converged
 # cow. Neither does its outline, since both programs show what a pixel's centre sees.
 
 # %%
-difference = (picture(result.scene) - target).mean(axis=-1) * 255
-show({"fitted": picture(result.scene), "the picture": target})
+fitted = np.asarray(jl.render(result.scene, samples))
+difference = (fitted - target).mean(axis=-1) * 255
+show({"fitted": fitted, "the picture": target})
 show({"fitted - picture, in 1/255": difference}, cmap="RdBu_r", vmin=-0.5, vmax=0.5)
 assert np.abs(difference).max() < 1.0
 
