@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import io
 import re
 from pathlib import Path
@@ -139,6 +140,18 @@ def test_the_page_is_one_file_with_pictures_steps_and_numbers(fitted, tmp_path: 
     assert len(list(tmp_path.iterdir())) == 1
 
 
+def test_pictures_and_the_chart_can_be_told_apart_without_being_seen(fitted, tmp_path: Path) -> None:
+    result, views, _ = fitted
+    steps = tuple(result.history[0]._replace(step=i, rms=0.1**i) for i in range(4))
+    jl.write_report(tmp_path / "a.html", dataclasses.replace(result, history=steps), views)
+    page = (tmp_path / "a.html").read_text()
+    described = re.findall(r'<img[^>]* alt="([^"]*)"', page)
+    assert len(set(described)) == len(described) == page.count("<img ") == 6
+    assert described[0] == "View[a]: target" and described[5].startswith("View[b]: model - target, blue -")
+    chart = re.search(r"<svg.*</svg>", page)
+    assert chart is not None and ">step</text>" in chart[0] and ">residual RMS</text>" in chart[0]
+
+
 def test_linear_light_is_shown_as_srgb(fitted, tmp_path: Path) -> None:
     result, views, _ = fitted
     jl.write_report(tmp_path / "a.html", result, views, transfer="srgb")
@@ -183,7 +196,7 @@ def test_names_from_files_are_escaped(tmp_path: Path) -> None:
     result = jl.fit(scene, view, "Material[<ball>].diffuse_color")
     jl.write_report(tmp_path / "a.html", result, view)
     page = (tmp_path / "a.html").read_text()
-    assert "<img src=x>" not in page and "<ball>" not in page
+    assert "<img src=x>" not in page and 'alt="View[&lt;img src=x&gt;]: target"' in page and "<ball>" not in page
     assert "Material[&lt;ball&gt;].diffuse_color.r" in page
 
 

@@ -130,21 +130,25 @@ def _view_section(view: ViewPictures, transfer: Transfer) -> str:
         (f"model - target, blue -{scale:.3g} to red +{scale:.3g}, {SHOWN:.1%} within; grey: not looked at", shown),
     ]
     heading = f"{html.escape(view.name)}: difference RMS {rms:.3g}, largest {largest:.3g}"
-    return f"<h3>{heading}</h3>{_figures(figures)}"
+    return f"<h3>{heading}</h3>{_figures(view.name, figures)}"
 
 
-def _figures(figures: Sequence[tuple[str, Any]]) -> str:
-    """Captions and pictures, side by side."""
-    cells = "".join(f"<figure>{_png(image)}<figcaption>{caption}</figcaption></figure>" for caption, image in figures)
+def _figures(of: str, figures: Sequence[tuple[str, Any]]) -> str:
+    """Captions and pictures of one thing, side by side."""
+    cells = "".join(
+        f"<figure>{_png(image, f'{of}: {caption}')}<figcaption>{caption}</figcaption></figure>"
+        for caption, image in figures
+    )
     return f'<div class="pictures">{cells}</div>'
 
 
-def _png(image: Any) -> str:
+def _png(image: Any, described: str) -> str:
     levels = quantize(image)
     data = io.BytesIO()
     Image.fromarray(levels).save(data, "PNG")
     kind = ' class="small"' if levels.shape[1] < SMALL else ""
-    return f'<img{kind} src="data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}" alt="">'
+    content = base64.b64encode(data.getvalue()).decode()
+    return f'<img{kind} src="data:image/png;base64,{content}" alt="{html.escape(described)}">'
 
 
 def _diverging(values: np.ndarray) -> np.ndarray:
@@ -183,8 +187,14 @@ def _convergence_chart(history: Sequence[Step]) -> str:
         f'<text x="{place(step, low)[0]:.1f}" y="{height - 8}" text-anchor="middle">{step}</text>'
         for step in (0, points[-1][0])
     )
+    middle, halfway = (left + width - 10) / 2, (height - bottom + 10) / 2
+    titles = (
+        f'<text x="{middle:.1f}" y="{height - 8}" text-anchor="middle">step</text>'
+        f'<text transform="translate(14 {halfway:.1f}) rotate(-90)" text-anchor="middle">residual RMS</text>'
+    )
     return (
-        f'<svg viewBox="0 0 {width} {height}" width="{width}" role="img" aria-label="residual by step">{grid}{ends}'
+        f'<svg viewBox="0 0 {width} {height}" width="{width}" role="img" aria-label="residual RMS by step">'
+        f"{grid}{ends}{titles}"
         f'<polyline points="{path}" fill="none" stroke="#1b6ca8"/>{dots}</svg>'
         "<p>Residual RMS by step; open circles: steps that were tried and refused.</p>"
     )
@@ -238,7 +248,7 @@ def _textures(result: Fit) -> str:
         for caption, values in (("start", parameters.start), ("fitted", result.state.values)):
             image = np.asarray(block.image(values))[::-1]
             figures.append((caption, np.broadcast_to(image, (*image.shape[:2], 3))))
-        sections.append(f"<h3>{html.escape(block.path)}</h3>{_figures(figures)}")
+        sections.append(f"<h3>{html.escape(block.path)}</h3>{_figures(block.path, figures)}")
     return "".join(sections)
 
 
