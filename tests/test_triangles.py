@@ -83,7 +83,7 @@ def test_default_texture_coordinates_follow_the_bounding_box() -> None:
 
 
 def test_texture_transform_follows_the_clause() -> None:
-    """X3D 18.4.7: Tc' = -C S R C T Tc, spelled out with 3 x 3 matrices."""
+    """X3D 18.4.8: Tc' = -C S R C T Tc, spelled out with 3 x 3 matrices."""
 
     def shift(x: float, y: float) -> np.ndarray:
         return np.array([[1, 0, x], [0, 1, y], [0, 0, 1]])
@@ -216,7 +216,7 @@ def test_colours_per_vertex_and_per_face(fields: dict, expected: list) -> None:
 
 
 def test_triangle_sets_take_attributes_by_vertex_and_drop_remainders() -> None:
-    """X3D 11.4.6: vertices share the mean of their triangles' normals; a last incomplete triple is ignored."""
+    """X3D Rendering: vertices share the mean of their triangles' normals; a last incomplete triple is ignored."""
     points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
     indexed = triangles_of(
         nodes.IndexedTriangleSet(coord=nodes.Coordinate(point=points), index=[0, 1, 2, 0, 3, 1, 0, 1], color=COLORS)

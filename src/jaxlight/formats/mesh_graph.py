@@ -16,7 +16,7 @@ _SAME = 1e-9
 
 
 def transform_from_matrix(matrix: np.ndarray, *, children: tuple[Node, ...] = (), name: str = "") -> Transform:
-    """The Transform whose matrix is the given affine one [4, 4] (X3D 10.4.4): T R, then a stretch along some axes.
+    """The Transform whose matrix is the given affine one [4, 4] (X3D Transform): T R, then a stretch along some axes.
 
     Any matrix that can be inverted is such a product: by its polar decomposition, R is a rotation and the rest
     stretches (or mirrors) along three directions at right angles, which scaleOrientation turns the axes to.

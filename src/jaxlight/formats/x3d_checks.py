@@ -1,4 +1,4 @@
-"""Do the indices of a geometry fit the lists that they point into? (X3D 11.4 and 13.3.6)"""
+"""Do the indices of a geometry fit the lists that they point into? (X3D Rendering and 13.3.6)"""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _same_faces(corners: np.ndarray, index: np.ndarray) -> bool:
 def _lists(geometry: nodes.Node) -> list[tuple[str, np.ndarray, bool]]:
     """(field, values, one a vertex?) of the lists that a geometry has; an empty list counts as absent.
 
-    Colours of triangle sets belong to vertices, whatever `color_per_vertex` says (X3D 11.4.6).
+    Colours of triangle sets belong to vertices, whatever `color_per_vertex` says (X3D IndexedTriangleSet).
     """
     triangles, found = not isinstance(geometry, nodes.IndexedFaceSet), []
     for name, values_name, switch in (

@@ -74,7 +74,7 @@ def _version(text: str) -> tuple[int, int]:
 
 
 def _unit(path: Path, root: Element, category: str) -> float:
-    """Radians or metres in one unit of the file: 1, unless a `unit` statement says otherwise (X3D 4.3.6)."""
+    """Radians or metres in one unit of the file: 1, unless X3D's `unit` statement says otherwise."""
     factor = 1.0
     for unit in (unit for head in root.children if head.tag == "head" for unit in head.children):
         if unit.tag == "unit" and unit.attributes.get("category") == category:

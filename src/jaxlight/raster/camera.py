@@ -16,7 +16,7 @@ from .pattern import sample_pattern
 from .shapes import geometries_of, world_bounds
 
 DEFAULT_VIEWPOINT = nodes.Viewpoint()
-"""What X3D 23.3.1 binds when a file has no Viewpoint: at (0, 0, 10), looking along -z."""
+"""What X3D binds (Navigation) when a file has no Viewpoint: at (0, 0, 10), looking along -z."""
 
 
 class Rays(NamedTuple):
@@ -38,7 +38,7 @@ class Camera:
     rotation: np.ndarray
     """[3, 3], camera axes to world axes."""
     field_of_view: float | None = None
-    """Radians across the smaller dimension of the picture (X3D 23.4.6)."""
+    """Radians across the smaller dimension of the picture (X3D Viewpoint)."""
     intrinsics: np.ndarray | None = None
     """[3, 3], camera to picture as OpenCV writes it, but with (0, 0) at the outer corner of the top left pixel."""
 
@@ -164,9 +164,9 @@ class Camera:
     def default(cls, scene: Scene) -> Camera:
         """The camera that a scene is first seen with.
 
-        The first Viewpoint (X3D 23.3.1). Without one: X3D's default Viewpoint if all shapes lie in its view and fill at
-        least a tenth of it (or there are none), otherwise `view_all`. Browsers do either; meshes have sizes of their
-        own.
+        The first Viewpoint (X3D Navigation). Without one: X3D's default Viewpoint if all shapes lie in its view and
+        fill at least a tenth of it (or there are none), otherwise `view_all`. Browsers do either; meshes have sizes of
+        their own.
         """
         _check_scene("Camera.default", scene)
         if scene.document.viewpoints:

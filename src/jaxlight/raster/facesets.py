@@ -1,4 +1,4 @@
-"""IndexedFaceSet, IndexedTriangleSet and TriangleSet as triangles (X3D 11.2.3, 11.4.6, 11.4.12, 13.3.6)."""
+"""IndexedFaceSet, IndexedTriangleSet and TriangleSet as triangles (X3D 11.2.3, 13.3.6, Rendering)."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def indexed_face_set(node: nodes.IndexedFaceSet, where: str) -> Triangles:
 
 
 def triangle_set(node: nodes.IndexedTriangleSet | nodes.TriangleSet, where: str) -> Triangles:
-    """Triangles from index triples or from consecutive vertices; a remainder of one or two is ignored (X3D 11.4.6).
+    """Triangles from index triples or from consecutive vertices; a remainder of one or two is ignored (X3D Rendering).
 
     Attributes belong to vertices; `color_per_vertex` FALSE is ignored, as the clause says. Normals may be one a
     triangle.

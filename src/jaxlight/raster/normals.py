@@ -14,7 +14,7 @@ def crease_normals(faces: Faces, vertex: np.ndarray, points: np.ndarray, crease_
     """Normals [C, 3] at the corners: smooth across an edge where the two faces' normals differ by less than the angle.
 
     The faces around a vertex that are joined by smooth edges share one normal there: the mean of their unit normals
-    (the clause leaves the weights open; 11.4.6 and the browsers average).
+    (the clause leaves the weights open; IndexedTriangleSet and the browsers average).
 
     Args:
         faces: the polygons.
@@ -29,7 +29,7 @@ def crease_normals(faces: Faces, vertex: np.ndarray, points: np.ndarray, crease_
 
 
 def vertex_normals(faces: Faces, vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Normals [C, 3]: at each vertex the mean of the unit normals of all faces that share it (X3D 11.4.6)."""
+    """Normals [C, 3]: at each vertex the mean of the unit normals of all faces that share it (X3D Rendering)."""
     return _shared(faces, _unit(face_normals(faces, points)), vertex)
 
 

@@ -92,7 +92,7 @@ def _geometry_of(shape: nodes.Shape) -> Triangles | Primitive:
 
 
 def texture_transformed(texcoord: np.ndarray, shape: nodes.Shape) -> np.ndarray:
-    """Texture coordinates [..., 2] through TextureTransform: Tc' = -C S R C T Tc, T first (X3D 18.4.7)."""
+    """Texture coordinates [..., 2] through TextureTransform: Tc' = -C S R C T Tc, T first (X3D 18.4.8)."""
     transform = shape.appearance.texture_transform if shape.appearance else None
     if transform is None:
         return texcoord

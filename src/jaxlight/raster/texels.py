@@ -8,7 +8,7 @@ import numpy as np
 def bilinear_texels(
     texcoord: np.ndarray, width: int, height: int, *, repeat_s: bool, repeat_t: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The four texels around each texture coordinate and their weights, for linear interpolation (X3D 18.2.3).
+    """The four texels around each texture coordinate and their weights, for linear interpolation (X3D Texturing).
 
     Texel i of n has its centre at (i + 1/2) / n; row 0 is at t = 0. Outside [0, 1] the texture repeats, or its edge
     continues.
@@ -16,7 +16,7 @@ def bilinear_texels(
     Args:
         texcoord: [N, 2], s and t.
         width, height: of the texture.
-        repeat_s, repeat_t: as the texture node says (X3D 18.4.1).
+        repeat_s, repeat_t: as the texture node says (X3D ImageTexture).
 
     Returns:
         texels [N, 4], row * width + column, and weights [N, 4] >= 0 that sum to 1.

@@ -2,6 +2,9 @@
 
 A scene built from these in Python and the same scene read from a file are the same thing. A node that appears twice
 in the tree (X3D's USE) is the same Python object twice. Nodes compare by identity; `nodes_equal` compares content.
+
+Clause numbers of X3D, here and in other files, are those of ISO/IEC 19775-1:2008 (X3D 3.2). Where there is none, the
+component or the node is named: (X3D Rendering).
 """
 
 from __future__ import annotations
@@ -101,7 +104,7 @@ class Node:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Group(Node):
-    """Children in the parent's coordinate system (X3D 10.4.2)."""
+    """Children in the parent's coordinate system (X3D Grouping)."""
 
     accepts = {"children": ("*",)}
     children: tuple[Node, ...] = _nodes()
@@ -110,8 +113,9 @@ class Group(Node):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Transform(Node):
-    """Children in their own coordinate system (X3D 10.4.4): translate, centre, rotate, scale along `scale_orientation`.
+    """Children in their own coordinate system (X3D Grouping).
 
+    Translate, centre, rotate, scale along `scale_orientation`.
     `rotation` and `scale_orientation` are (x, y, z, angle in radians). Where a number of `scale` is 0 nothing below is
     shown, and no light there shines.
     """
@@ -128,7 +132,7 @@ class Transform(Node):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Switch(Node):
-    """The child number `which_choice`, or none of them when it is -1 or too large (X3D 10.4.3)."""
+    """The child number `which_choice`, or none of them when it is -1 or too large (X3D Grouping)."""
 
     accepts = {"children": ("*",)}
     children: tuple[Node, ...] = _nodes()
@@ -154,7 +158,7 @@ class Material(Node):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class ImageTexture(Node):
-    """A texture read from a file (X3D 18.4.1).
+    """A texture read from a file (X3D Texturing).
 
     `image` holds the decoded values, [height, width, components] in [0, 1], row 0 at the bottom (t = 0), one to four
     components; None when the file could not be had: the texture then counts as absent.
@@ -169,7 +173,7 @@ class ImageTexture(Node):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class PixelTexture(Node):
-    """A texture written out in the file (X3D 18.4.3); `image` as in ImageTexture."""
+    """A texture written out in the file (X3D Texturing); `image` as in ImageTexture."""
 
     image: np.ndarray | None = _field(None, texture_image)
     repeat_s: bool = _field(True, boolean)
@@ -179,7 +183,7 @@ class PixelTexture(Node):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class TextureTransform(Node):
-    """A 2-D transform of texture coordinates (X3D 18.4.7); `rotation` in radians."""
+    """A 2-D transform of texture coordinates (X3D 18.4.8); `rotation` in radians."""
 
     center: Vec2 = _field((0.0, 0.0), vector2)
     rotation: float = _field(0.0, number)
@@ -208,7 +212,7 @@ _GEOMETRY = ("Box", "Cone", "Cylinder", "Sphere", "IndexedFaceSet", "IndexedTria
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Shape(Node):
-    """A geometry with its appearance (X3D 12.4.5). `geometry` may be None: a material whose pixels come from maps."""
+    """A geometry with its appearance (X3D Shape). `geometry` may be None: a material whose pixels come from maps."""
 
     accepts = {"appearance": ("Appearance",), "geometry": _GEOMETRY}
     appearance: Appearance | None = _node()
@@ -264,7 +268,7 @@ class Sphere(Node):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Coordinate(Node):
-    """Vertex positions [n, 3] (X3D 11.4.2)."""
+    """Vertex positions [n, 3] (X3D Rendering)."""
 
     point: np.ndarray = _field((), vector3_rows)
     name: str = _field("", string)
@@ -272,7 +276,7 @@ class Coordinate(Node):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Normal(Node):
-    """Normal vectors [n, 3] (X3D 11.4.8)."""
+    """Normal vectors [n, 3] (X3D Rendering)."""
 
     vector: np.ndarray = _field((), vector3_rows)
     name: str = _field("", string)
@@ -280,7 +284,7 @@ class Normal(Node):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Color(Node):
-    """RGB colours [n, 3] in [0, 1] (X3D 11.4.1)."""
+    """RGB colours [n, 3] in [0, 1] (X3D Rendering)."""
 
     color: np.ndarray = _field((), lambda where, value: color_rows(where, value, 3))
     name: str = _field("", string)
@@ -288,7 +292,7 @@ class Color(Node):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class ColorRGBA(Node):
-    """RGBA colours [n, 4] in [0, 1] (X3D 11.4.3)."""
+    """RGBA colours [n, 4] in [0, 1] (X3D Rendering)."""
 
     color: np.ndarray = _field((), lambda where, value: color_rows(where, value, 4))
     name: str = _field("", string)
@@ -296,7 +300,7 @@ class ColorRGBA(Node):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class TextureCoordinate(Node):
-    """Texture coordinates [n, 2] (X3D 18.4.5)."""
+    """Texture coordinates [n, 2] (X3D Texturing)."""
 
     point: np.ndarray = _field((), vector2_rows)
     name: str = _field("", string)
@@ -334,7 +338,7 @@ class IndexedFaceSet(Node):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class IndexedTriangleSet(Node):
-    """Triangles given by index triples (X3D 11.4.6)."""
+    """Triangles given by index triples (X3D Rendering)."""
 
     accepts = _VERTEX_DATA
     ccw: bool = _field(True, boolean)
@@ -351,7 +355,7 @@ class IndexedTriangleSet(Node):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class TriangleSet(Node):
-    """Triangles given by consecutive vertex triples (X3D 11.4.12)."""
+    """Triangles given by consecutive vertex triples (X3D Rendering)."""
 
     accepts = _VERTEX_DATA
     ccw: bool = _field(True, boolean)
@@ -419,7 +423,7 @@ class SpotLight(Node):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Fog(Node):
-    """Fog towards `color` with distance (X3D 24.4.2, table 17.5); `visibility_range` in the fog's coordinate system."""
+    """Fog towards `color` with distance (X3D table 17.5); `visibility_range` in the fog's coordinate system."""
 
     color: Vec3 = _field((1.0, 1.0, 1.0), color)
     fog_type: str = _field("LINEAR", choice("LINEAR", "EXPONENTIAL"))
@@ -443,7 +447,7 @@ class Background(Node):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Viewpoint(Node):
-    """A camera (X3D 23.4.6): looks along -z, y up; `field_of_view` (radians) spans the smaller image dimension."""
+    """A camera (X3D Navigation): looks along -z, y up; `field_of_view` (radians) spans the smaller image dimension."""
 
     description: str = _field("", string)
     field_of_view: float = _field(math.pi / 4, lambda where, value: number(where, value, above=0.0, below=math.pi))

@@ -110,7 +110,7 @@ class SpotLights(eqx.Module):
 
 
 class Fog(eqx.Module):
-    """The bound Fog node (X3D 24.4.2, table 17.5); `to_local` maps world vectors to the fog's coordinate system."""
+    """The bound Fog node (X3D table 17.5); `to_local` maps world vectors to the fog's coordinate system."""
 
     color: Float[Array, "3"]
     visibility_range: Float[Array, ""]
@@ -121,7 +121,7 @@ class Fog(eqx.Module):
 
 
 class Texture(eqx.Module):
-    """One texture: values in [0, 1], row 0 at the bottom (t = 0), one to four components (X3D 18.2.2)."""
+    """One texture: values in [0, 1], row 0 at the bottom (t = 0), one to four components (X3D Texturing)."""
 
     image: Float[Array, "height width components"]
     name: str = eqx.field(static=True, default="")

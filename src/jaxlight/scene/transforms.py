@@ -24,7 +24,7 @@ def rotation_matrix(axis_angle: tuple[float, float, float, float]) -> np.ndarray
 
 
 def transform_matrix(transform: nodes.Transform) -> np.ndarray:
-    """Local to parent coordinates, [3, 4]: P' = T C R SR S -SR -C P (X3D 10.4.4)."""
+    """Local to parent coordinates, [3, 4]: P' = T C R SR S -SR -C P (X3D Transform)."""
     linear_scale = rotation_matrix(transform.scale_orientation)
     linear = rotation_matrix(transform.rotation) @ linear_scale @ np.diag(transform.scale) @ linear_scale.T
     center = np.asarray(transform.center)
