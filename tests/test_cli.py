@@ -182,9 +182,7 @@ def test_render_writes_the_picture(run) -> None:
 def test_render_equals_the_library(run) -> None:
     import jaxlight as jl
 
-    run(
-        "render", "scene.x3d", "--output", "a.png", "--width", 32, "--height", 32, "--samples", 4, "--viewpoint", "side"
-    )
+    run("render", "scene.x3d", "--output", "a.png", "--width", 32, "--samples", 4, "--viewpoint", "side")
     scene = jl.load("scene.x3d")
     camera = jl.Camera.from_viewpoint(scene.document.viewpoints[1])
     picture = jl.render(scene, jl.rasterize(scene, camera, 32, 32, samples=4))

@@ -308,6 +308,11 @@ def test_a_shape_used_again_and_again_may_not_become_too_many_triangles() -> Non
         Camera.view_all(scene)
 
 
+def test_a_picture_whose_height_is_not_given_is_square() -> None:
+    samples = rasterize(Scene.from_nodes([shape(nodes.Sphere())]), VIEW, 12)
+    assert (samples.width, samples.height) == (12, 12)
+
+
 def test_sizes_may_be_numbers_of_numpy() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")

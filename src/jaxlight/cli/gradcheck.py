@@ -29,8 +29,8 @@ class Gradcheck:
     """Field paths (default: every field that `jaxlight info` lists)."""
     width: int = 64
     """Pixels."""
-    height: int = 64
-    """Pixels."""
+    height: int | None = None
+    """Pixels (default: as the width)."""
     viewpoint: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """DEF name or number of a Viewpoint (default: the first; without any, X3D's own if it shows all shapes at a fair
     size, otherwise a camera that frames them)."""

@@ -30,8 +30,8 @@ class Render:
     """The picture to write (.png, .jpg or .exr)."""
     width: int = 512
     """Pixels."""
-    height: int = 512
-    """Pixels."""
+    height: int | None = None
+    """Pixels (default: as the width)."""
     samples: int = 1
     """Samples a pixel; 16 gives smooth edges."""
     viewpoint: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""

@@ -26,7 +26,7 @@ def rasterize(
     scene: Scene,
     camera: Camera | nodes.Viewpoint | None = None,
     width: int = 512,
-    height: int = 512,
+    height: int | None = None,
     samples: int = 1,
     *,
     dtype: Any = None,
@@ -40,7 +40,7 @@ def rasterize(
     Args:
         scene: the scene.
         camera: a Camera, a Viewpoint (of the scene: with the transforms above it), or None: `Camera.default`.
-        width, height: size of the picture in pixels.
+        width, height: size of the picture in pixels; a height of None is the width.
         samples: rays a pixel: 1 through its centre, or k on a rotated grid, each of which covers 1/k of the pixel.
         dtype: float type of the buffer, as in `SampleBuffer.create`.
 
@@ -58,7 +58,7 @@ def rasterize(
     if not isinstance(scene, Scene):
         raise ValueError(f"rasterize: scene: expected a Scene, got {type(scene).__name__}")
     dtype = float_type("rasterize: dtype", dtype)
-    width, height = _size(width, height, samples)
+    width, height = _size(width, width if height is None else height, samples)
     offsets = sample_pattern(samples)
     camera = _camera(scene, camera)
     placed = PlacedShapes.of(scene)
