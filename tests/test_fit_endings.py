@@ -100,6 +100,9 @@ def test_a_fit_of_what_no_picture_shows_is_no_success() -> None:
     assert fit(inside, view_of(target=dark), free).outcome == "converged"
     noisy = view_of(target=0.01 * np.random.default_rng(0).normal(size=dark.shape), noise=0.01)
     assert fit(inside, noisy, free).outcome == "converged"
+    other = fit(inside, view_of(), free, method=optx.BFGS(rtol=1e-3, atol=1e-3))
+    assert other.outcome == "unseen"
+    assert other.message.startswith("Not converged: no picture changes with any free number where BFGS ended, after ")
 
 
 def test_a_sum_of_which_no_picture_tells_the_parts_is_found_however_noisy_it_is() -> None:
@@ -149,3 +152,22 @@ def test_a_residual_says_what_it_counts_whatever_minimiser_left_it() -> None:
         result = fit(start(dtype), view_of(), [prior], loss="huber", loss_scale=0.02, method=method, max_steps=2)
     said = f"residual RMS {result.rms:.3g}, as the huber loss counts it, priors included."
     assert result.message.endswith(said)
+
+
+def test_other_minimisers_leave_a_number_whose_bounds_are_one_where_it_is() -> None:
+    pinned = [Free("Material[body].shininess", lower=0.2, upper=0.2), "View[0].exposure"]
+    with precision("float32") as dtype:
+        result = fit(start(dtype), view_of(), pinned, method=optx.BFGS(rtol=1e-3, atol=1e-3), max_steps=30)
+    assert result.converged and result.value("Material[body].shininess") == np.float32(0.2)
+    assert result.value("View[0].exposure") != 1
+
+
+def test_other_minimisers_that_end_nowhere_keep_the_best_that_they_met() -> None:
+    """Steps that are too long lead to exposures without end."""
+    with precision("float32") as dtype:
+        bright = view_of(target=4 * sphere_picture(SIZE))
+        method = optx.GradientDescent(1e3, rtol=1e-3, atol=1e-3)
+        result = fit(start(dtype), bright, "View[0].exposure", method=method)
+    assert result.outcome == "nonfinite" and not result.converged
+    assert result.message.startswith("Failed: GradientDescent came to what is not finite in ")
+    assert np.isfinite([*result.values, result.loss]).all() and np.isfinite(result.exposure).all()

@@ -24,7 +24,7 @@ from .chosen import canonical
 from .earlier import spare_unfinished
 from .interrupts import held_back
 from .minimisers import check_minimiser, minimise
-from .outcomes import Outcome, left_of, message_of, outcome_of
+from .outcomes import Outcome, ending_of, message_of, outcome_of
 from .pictures import residual_image
 from .problem import Description, Problem, make_problem
 from .record import Record
@@ -231,17 +231,17 @@ def _fit_by(
     began = time.monotonic()
     try:
         record.begin(problem, description, begin(problem, solver), max_steps)
-        values, converged, steps = minimise(problem, method, max_steps)
-        state = advance(problem, solver, begin(problem, solver, values))
+        found = minimise(problem, method, max_steps)
+        state = advance(problem, solver, begin(problem, solver, found.values))
+        if not (found.finite and np.isfinite(state.solver.loss)):
+            found = found._replace(converged=False, finite=False)
+            state = advance(problem, solver, begin(problem, solver, found.best))
     except BaseException as error:
         record.fail(error)
         raise
     history = [describe_step(problem, description, state, time.monotonic() - began)]
     made = make_fit(problem, description, state, history)
-    finite = made.outcome != "nonfinite"
-    outcome: Outcome = ("converged" if converged else "max_steps") if finite else "nonfinite"
-    ending = "Converged" if converged and finite else "Not converged"
-    message = f"{ending} by {type(method).__name__} in {steps} steps; {left_of(made.rms, problem)}."
+    outcome, message = ending_of(found, type(method).__name__, made.outcome, made.rms, problem)
     made = dataclasses.replace(made, outcome=outcome, message=message)
     record.end(made.outcome, made.message, loss=made.loss, values=made.values)
     return made

@@ -7,10 +7,11 @@ is no sum of squares, and comparison.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
@@ -34,23 +35,54 @@ def check_minimiser(minimiser: Any) -> None:
         )
 
 
-def minimise(problem: Problem, minimiser: Any, max_steps: int) -> tuple[Float[Array, " parameters"], bool, int]:
-    """(values, whether the minimiser says it converged, steps) from the problem's start.
+class Minimum(NamedTuple):
+    """Where a minimiser ended."""
+
+    values: Float[Array, " parameters"]
+    best: Float[Array, " parameters"]
+    """The values of the lowest loss on the way that was a number; the start if there was none."""
+    converged: bool
+    """Whether the minimiser says so."""
+    finite: bool
+    """Whether the values are, and the loss there."""
+    steps: int
+
+
+def minimise(problem: Problem, minimiser: Any, max_steps: int) -> Minimum:
+    """Where the minimiser ends that begins at the problem's start.
 
     Args:
         problem: from `make_problem`.
         minimiser: one that `check_minimiser` lets pass.
         max_steps: at most.
     """
-    values, result, steps = _minimise(problem, minimiser, max_steps)
-    return values, bool(result == optx.RESULTS.successful), int(steps)
+    values, best, result, steps = _minimise(problem, minimiser, max_steps)
+    finite = bool(np.all(np.isfinite(values)))
+    return Minimum(values, best, finite and bool(result == optx.RESULTS.successful), finite, int(steps))
+
+
+class _WithBest(optx.BestSoFarMinimiser):
+    """A minimiser that ends where it ends, and says what was best on the way."""
+
+    def __init__(self, minimiser: optx.AbstractMinimiser) -> None:
+        self.solver = minimiser
+
+    def postprocess(
+        self, fn: Any, y: Array, aux: Any, args: Any, options: Any, state: Any, tags: Any, result: Any
+    ) -> tuple[Array, Any, dict[str, Any]]:
+        y, aux, stats = self.solver.postprocess(fn, y, aux, args, options, state.state, tags, result)
+        return y, aux, {**stats, "best": state.best_y, "met": jnp.isfinite(state.best_loss)}
 
 
 @quick_jit
-def _minimise(problem: Problem, minimiser: Any, max_steps: int) -> tuple[Array, Any, Array]:
-    start = _unbounded(problem, problem.parameters.start)
-    solution = optx.minimise(_loss, minimiser, start, problem, max_steps=max_steps, throw=False)
-    return _bounded(problem, solution.value), solution.result, solution.stats["num_steps"]
+def _minimise(problem: Problem, minimiser: Any, max_steps: int) -> tuple[Array, Array, Any, Array]:
+    start = problem.parameters.start
+    solution = optx.minimise(
+        _loss, _WithBest(minimiser), _unbounded(problem, start), problem, max_steps=max_steps, throw=False
+    )
+    values, stats = _bounded(problem, solution.value), solution.stats
+    best = jnp.where(stats["met"], _bounded(problem, stats["best"]), start)
+    return values, best, solution.result, stats["num_steps"]
 
 
 @jax.custom_vjp
@@ -78,10 +110,10 @@ def _bounded(problem: Problem, free: Array) -> Array:
 
 
 def _unbounded(problem: Problem, values: Array) -> Array:
-    """The inverse of `_bounded`, a little inside the bounds."""
+    """The inverse of `_bounded`, a little inside the bounds; of two that are one any number is."""
     lower, upper = problem.parameters.lower, problem.parameters.upper
     below, above = jnp.isfinite(lower), jnp.isfinite(upper)
     low, high = jnp.where(below, lower, 0), jnp.where(above, upper, 1)
-    share = jnp.clip((values - low) / jnp.where(below & above, high - low, 1), _INSIDE, 1 - _INSIDE)
+    share = jnp.clip((values - low) / jnp.where(below & above & (low < high), high - low, 1), _INSIDE, 1 - _INSIDE)
     distance = jnp.maximum(jnp.where(below, values - low, high - values), _INSIDE)
     return jnp.where(below & above, jnp.log(share / (1 - share)), jnp.where(below | above, jnp.log(distance), values))

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import optimistix as optx
 
+from .minimisers import Minimum
 from .problem import Problem
 from .run import FitState
 from .steps import Step
@@ -58,3 +59,27 @@ def message_of(outcome: Outcome, state: FitState, history: Sequence[Step], rms: 
         "nonfinite": "Failed: the loss or its derivative is not finite at the start values.",
         "interrupted": f"Interrupted after {trials}, not converged; the best values so far are kept; {left}.",
     }[outcome]
+
+
+def ending_of(minimum: Minimum, name: str, evaluated: Outcome, rms: float, problem: Problem) -> tuple[Outcome, str]:
+    """How the fit of another minimiser ended, in a word and in a sentence.
+
+    Args:
+        minimum: where it ended.
+        name: what the minimiser is called.
+        evaluated: how a fit of ours would end there, or at the best values if that was nowhere.
+        rms: what is left.
+        problem: the fit.
+    """
+    steps, left = f"{minimum.steps} steps", left_of(rms, problem)
+    if evaluated == "nonfinite":
+        return evaluated, f"Failed: the loss or its derivative is not finite where {name} ended, after {steps}."
+    if not minimum.finite:
+        met = "the best values that it met are kept"
+        return "nonfinite", f"Failed: {name} came to what is not finite in {steps}; {met}; {left}."
+    if evaluated == "unseen":
+        nothing = f"no picture changes with any free number where {name} ended"
+        return evaluated, f"Not converged: {nothing}, after {steps}; {left}."
+    if minimum.converged:
+        return "converged", f"Converged by {name} in {steps}; {left}."
+    return "max_steps", f"Not converged by {name} in {steps}; {left}."
