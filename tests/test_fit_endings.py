@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from fit_scenes import key_light, material, precision, sphere_picture, sphere_sa
 from jaxlight import Fit, Free, View, fit, nodes, shade
 from jaxlight.fit import fitting
 from jaxlight.fit.problem import make_problem
+from jaxlight.fit.uncertainty import uncertainty
 
 SIZE = 24
 FREE = ["Material[body].diffuse_color", "Material[body].shininess"]
@@ -171,3 +173,34 @@ def test_other_minimisers_that_end_nowhere_keep_the_best_that_they_met() -> None
     assert result.outcome == "nonfinite" and not result.converged
     assert result.message.startswith("Failed: GradientDescent came to what is not finite in ")
     assert np.isfinite([*result.values, result.loss]).all() and np.isfinite(result.exposure).all()
+
+
+@pytest.mark.parametrize("case", ["noise", "target"])
+def test_of_a_fit_that_failed_nothing_is_known(case: str) -> None:
+    """Its squares are beyond float32, and still finite in float64, in which errors are computed."""
+    changes = {"noise": {"noise": 1e-20}, "target": {"target": 1e30 * sphere_picture(SIZE)}}[case]
+    free = [FREE[0], Free(FREE[1], lower=0.2, upper=0.2)]
+    with precision("float32") as dtype, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = fit(start(dtype), view_of(**changes), free)
+        known = result.uncertainty
+    assert result.outcome == "nonfinite" and not known.well_posed and known.rank == 0
+    np.testing.assert_array_equal(known.standard_error, [np.inf, np.inf, np.inf, 0])
+    assert known.messages() == ["nothing is known of the numbers: the fit failed"]
+    assert str(result).startswith("Failed: ") and "nothing is known" not in str(result)
+
+
+def test_values_at_which_nothing_can_be_computed_are_not_known() -> None:
+    with precision("float32") as dtype:
+        problem, description = make_problem(start(dtype), view_of(), FREE)
+        known = uncertainty(problem, description, np.full(4, np.nan))
+    assert not known.well_posed and np.isinf(known.standard_error).all()
+    assert known.messages() == ["nothing is known of the numbers: the loss or its derivative is not finite at them"]
+
+
+def test_a_fit_says_what_it_does_not_know() -> None:
+    with precision("float32") as dtype:
+        free = [FREE[0], "Material[body].specular_color", "PointLight[key].intensity"]
+        result = fit(start(dtype), view_of(), free, max_steps=2)
+    assert len(result.uncertainty.messages()) > 0
+    assert str(result).endswith("\n".join(result.uncertainty.messages()))

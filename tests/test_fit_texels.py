@@ -149,7 +149,8 @@ def test_a_fit_of_textures_alone_has_an_uncertainty_of_no_numbers() -> None:
         truth = scene(skin(), dtype)
         result = fit(scene(np.full((TEXELS, TEXELS, 3), 0.5), dtype), views(truth, dtype), SKIN)
     assert result.converged and result.labels == ()
-    assert result.uncertainty.well_posed and str(result.uncertainty) == ""
+    assert result.uncertainty.well_posed and result.uncertainty.messages() == []
+    assert str(result.uncertainty) == "the pictures determine every texel that is free"
 
 
 def test_texels_stay_in_their_bounds_and_what_no_sample_sees_stays() -> None:

@@ -34,7 +34,7 @@ from .solver import BoundedLevenbergMarquardt
 from .starts import explore, random_starts
 from .steps import Step, describe_step
 from .steps import rms as step_rms
-from .uncertainty import Uncertainty, uncertainty
+from .uncertainty import Uncertainty, nothing_known, uncertainty
 from .views import View
 
 
@@ -65,6 +65,8 @@ class Fit:
     @functools.cached_property
     def uncertainty(self) -> Uncertainty:
         """Standard errors, numbers at a bound, and what the pictures cannot tell, at the fitted values."""
+        if self.outcome == "nonfinite":
+            return nothing_known(self.problem, self.description, "the fit failed")
         return uncertainty(self.problem, self.description, self.state.values)
 
     @property
@@ -107,13 +109,13 @@ class Fit:
     def __str__(self) -> str:
         lines = [self.message]
         width = max((len(label) for label in self.labels), default=0)
-        lower, upper = np.asarray(self.problem.parameters.lower), np.asarray(self.problem.parameters.upper)
-        for i, (label, value) in enumerate(zip(self.labels, self.values, strict=True)):
-            at_bound = "  (at its bound)" if lower[i] < upper[i] and value in (lower[i], upper[i]) else ""
-            lines.append(f"  {label:<{width}}  {self.start[i]:>12.6g} -> {value:>12.6g}{at_bound}")
+        for label, start, value in zip(self.labels, self.start, self.values, strict=True):
+            lines.append(f"  {label:<{width}}  {start:>12.6g} -> {value:>12.6g}")
         for block in self.problem.parameters.blocks:
             height, breadth, _ = block.shape
             lines.append(f"  {block.path}: {height} x {breadth} texels")
+        if self.history and self.outcome != "nonfinite":
+            lines += self.uncertainty.messages()
         return "\n".join(lines)
 
 

@@ -135,7 +135,7 @@ def make_problem(
         views=stacks,
         every=array_of(1, jnp.int32),
         count=array_of(count, dtype),
-        signal=array_of(sum(_signal(one) for one in data), dtype),
+        signal=array_of(min(sum(_signal(one) for one in data), float(jnp.finfo(dtype).max)), dtype),
         loss_scale=array_of(1.0 if loss_scale is None else loss_scale, dtype),
         loss_kind=loss,
         settles=loss == "squares"
@@ -188,8 +188,8 @@ def _only_view(scene: Scene, views: list[ViewData]) -> OnlyView:
 
 
 def _signal(view: ViewData) -> float:
-    weighted = np.asarray(view.root_weight) * np.asarray(view.target)
-    return float(np.sum(weighted * weighted, dtype=np.float64)) / 2
+    weighted = np.asarray(view.root_weight, np.float64) * np.asarray(view.target, np.float64)
+    return float(np.sum(weighted * weighted)) / 2
 
 
 def _planned(world: World, parameters: Parameters, view: ViewData, options: LightingOptions | None) -> ViewData:

@@ -71,15 +71,18 @@ class Uncertainty:
     """What the errors rest on, where it may not be what was meant."""
     unseen_texels: tuple[UnseenTexels, ...] = ()
     """Of each whole texture that has some."""
+    failure: str = ""
+    """Why nothing is known; empty otherwise."""
 
     @property
     def well_posed(self) -> bool:
         """True if the pictures determine every free number."""
-        return not self.unseen and not self.ambiguities and not self.unseen_texels
+        return not self.failure and not self.unseen and not self.ambiguities and not self.unseen_texels
 
     def messages(self) -> list[str]:
         """What a person should know before believing the numbers, a sentence each; none if all is well."""
-        lines = [f"{label} is not seen: the pictures do not change with it near its value" for label in self.unseen]
+        lines = [f"nothing is known of the numbers: {self.failure}"] if self.failure else []
+        lines += [f"{label} is not seen: the pictures do not change with it near its value" for label in self.unseen]
         lines += [
             f"{count} of {total} texels of {path} are seen in no view"
             f"{'' if entirely else ', or not in all their colours'}: what is not seen keeps its start"
@@ -100,7 +103,27 @@ class Uncertainty:
         rows = [
             f"  {label:<{width}}  +- {error:.3g}" for label, error in zip(self.labels, self.standard_error, strict=True)
         ]
-        return "\n".join([*rows, *self.messages()])
+        lines = [*rows, *self.messages()]
+        return "\n".join(lines) if lines else "the pictures determine every texel that is free"
+
+
+def nothing_known(problem: Problem, description: Description, why: str) -> Uncertainty:
+    """That of values which mean nothing."""
+    count = problem.parameters.few
+    fixed = np.asarray(problem.parameters.lower == problem.parameters.upper)[:count]
+    return Uncertainty(
+        labels=tuple(description.labels),
+        standard_error=np.where(fixed, 0, np.inf),
+        covariance=np.full((count, count), np.nan),
+        noise=np.inf,
+        rank=0,
+        at_bound=(),
+        unseen=(),
+        ambiguities=(),
+        hardly_seen=(),
+        correlations=(),
+        failure=why,
+    )
 
 
 @usual_promotion
@@ -120,6 +143,8 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
         at = jnp.asarray(np.asarray(values), jnp.float64)
         known = jnp.asarray(description.noise_known)
         reduced = jax.tree.map(lambda a: np.asarray(a, np.float64), _reduced(wide, at, known, jnp.asarray(rounding)))
+        if not all(np.isfinite(leaf).all() for leaf in reduced):
+            return nothing_known(problem, description, "the loss or its derivative is not finite at them")
         squares_of_known_noise = description.noise_known and problem.loss_kind == "squares"
         left = None if squares_of_known_noise else Leftover(*map(float, leftover(wide, at)))
     found = np.asarray(values, np.float64)
