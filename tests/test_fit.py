@@ -213,6 +213,21 @@ def test_masked_points_may_hold_anything() -> None:
         assert np.all(result.residual_image()[10:20, 10:20] == 0)
 
 
+def test_a_channel_without_weight_may_hold_anything() -> None:
+    picture = sphere_picture(SIZE)
+    picture[20:30, 20:30, 1], picture[24, 24, 0] = np.nan, np.inf
+    with precision("float32") as dtype:
+        samples, scene = sphere_samples(SIZE, dtype=dtype), start(dtype)
+        weight = np.isfinite(picture).astype(float)
+        found = view_data(scene, View(samples, picture, weight=weight), 0, dtype)
+        expected = view_data(scene, View(samples, np.nan_to_num(picture, posinf=0), weight=weight), 0, dtype)
+        np.testing.assert_array_equal(found.target, expected.target)
+        np.testing.assert_array_equal(found.root_weight, expected.root_weight)
+        picture[22, 22, 2] = np.nan
+        with pytest.raises(ValueError, match=r"1 of 1804 used points are not finite \(first: row 22, column 22\)"):
+            view_data(scene, View(samples, picture, weight=weight), 0, dtype)
+
+
 HALF = np.arange(SIZE * SIZE).reshape(SIZE, SIZE) % 2 == 0
 MASKS: dict[str, np.ndarray] = {
     "floats": np.where(HALF, 0.5, 0.49),
@@ -339,6 +354,8 @@ WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "one weight": ({"weight": 2.0}, {}, "View[0].weight: expected shape [48, 48] or [1804] or [48, 48, 3] or [1804, 3], got []"),
     "noise of channels": ({"noise": [0.1, 0.1, 0.1]}, {}, "View[0].noise: expected one number or an array of shape [48, 48] or [1804] or [48, 48, 3] or"),
     "vanishing weight": ({"weight": np.full((48, 48), 1e-60)}, {}, "View[0].weight: every weight is less than 1.2e-38, the smallest of float32"),
+    "no noise": ({"noise": 1e-39}, {}, "View[0].noise: the root of a weight 1 / noise^2 is more than 3.4e+38, the largest of float32"),
+    "infinite weight": ({"weight": np.full((48, 48), 1e80)}, {}, "View[0].weight: the root of a weight is more than 3.4e+38, the largest of float32"),
     "endless noise": ({"noise": 1e30}, {}, "View[0].noise: every weight 1 / noise^2 is less than 1.2e-38, the smallest of float32"),
     "empty mask": ({"mask": np.zeros((48, 48))}, {}, "View[0]: mask, weight and coverage leave no point to fit"),
     "weight": ({"weight": -np.ones((48, 48))}, {}, "View[0].weight: every weight must be finite and >= 0"),

@@ -64,6 +64,15 @@ def test_models_show_each_view_with_its_own_lamp_and_exposure(fitted) -> None:
     assert not second.used[: SIZE // 2].any() and first.used[: SIZE // 2].any()
 
 
+def test_a_channel_that_the_fit_did_not_look_at_shows_the_model(fitted) -> None:
+    result, views, _ = fitted
+    target = np.array(views[0].target)
+    target[..., 1] = np.inf
+    view = dataclasses.replace(views[0], target=target, weight=np.isfinite(target).astype(float))
+    pictures = view_pictures(result, [view, views[1]])[0]
+    np.testing.assert_allclose(pictures.model[pictures.used], pictures.target[pictures.used], atol=1e-5)
+
+
 SKY = (0.2, 0.4, 0.75)
 DIFFERING: dict[str, tuple[dict[str, Any], dict[str, Any], int]] = {
     "a background": ({}, {"background": SKY}, 1),

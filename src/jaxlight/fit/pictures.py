@@ -82,7 +82,8 @@ def _pictures_of_view(result: Fit, row: int, view: View) -> ViewPictures:
         uncovered = (covered == 0).astype(np.float64)
     seen = np.where(covered[..., None] > 0, model_image(result.problem, result.state.values, row), 0)
     model = seen + float(result.exposure[row]) * uncovered[..., None] * np.asarray(behind, np.float64)
-    return ViewPictures(name, np.nan_to_num(target), model, used)
+    unknown = np.where(used[..., None], model, 0)  # in a channel that the fit did not look at
+    return ViewPictures(name, np.where(np.isfinite(target), target, unknown), model, used)
 
 
 def model_image(problem: Problem, values: Any, view: int) -> np.ndarray:

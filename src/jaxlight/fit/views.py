@@ -33,7 +33,8 @@ class View:
         mask: [height, width] or [N], also with a last axis of 1, False where the picture is not to be fitted (cast
             shadows, other objects). Floats below one half mean False, as do integers that are 0; of pictures of 8 or 16
             bits, whose largest number is above 1, those below half of the range.
-        weight: weight of the squared residual, >= 0, shape of the mask or of the target.
+        weight: weight of the squared residual, >= 0, shape of the mask or of the target. Where it is 0 the target may
+            hold anything.
         noise: standard deviation of the picture's noise, > 0, a number or shape of the mask or of the target. Weights
             the residuals by 1 / noise^2; stated in every view, it makes standard errors absolute: a point with a
             `weight` besides counts as one whose noise is noise / sqrt(weight).
@@ -108,7 +109,8 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         noise = np.full((layout.points, 1), noise) if noise.ndim == 0 else layout.points_of("noise", noise)
         if not np.all(np.isfinite(noise) & (noise > 0)):
             raise ValueError(f"{label}.noise: every standard deviation must be finite and > 0")
-        weight = weight / noise**2
+        with np.errstate(all="ignore"):  # what is too little or too much is said below
+            weight = weight / noise**2
     background = None
     if view.background is not None:
         _refuse_levels(f"{label}.background", view.background)
@@ -122,17 +124,23 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         mask &= layout.covered > 1 - 1e-6
     _refuse_levels(f"{label}.target", view.target)
     target = layout.points_of("target", view.target)
-    used = mask & np.any(weight > 0, axis=1)
-    bad = used & ~np.all(np.isfinite(target), axis=1)
+    used = mask[:, None] & (weight > 0)
+    bad = np.any(used & ~np.isfinite(target), axis=1)
     if np.any(bad):
         raise ValueError(
-            f"{label}.target: {np.count_nonzero(bad)} of {np.count_nonzero(used)} used points are not finite "
-            f"(first: {layout.where(int(np.argmax(bad)))}); leave them out with `mask`"
+            f"{label}.target: {np.count_nonzero(bad)} of {np.count_nonzero(used.any(axis=1))} used points are not "
+            f"finite (first: {layout.where(int(np.argmax(bad)))}); leave them out with `mask`"
         )
-    smallest = float(jnp.finfo(dtype).tiny)
+    smallest, largest = float(jnp.finfo(dtype).tiny), float(jnp.finfo(dtype).max)
+    field, what = ("weight", "weight") if view.weight is not None else ("noise", "weight 1 / noise^2")
     if np.any(used) and not np.any(weight[used] >= smallest):
-        field, what = ("weight", "every weight") if view.weight is not None else ("noise", "every weight 1 / noise^2")
-        raise ValueError(f"{label}.{field}: {what} is less than {smallest:.2g}, the smallest of {np.dtype(dtype)}")
+        raise ValueError(
+            f"{label}.{field}: every {what} is less than {smallest:.2g}, the smallest of {np.dtype(dtype)}"
+        )
+    if np.any(np.sqrt(weight[used]) > largest):
+        raise ValueError(
+            f"{label}.{field}: the root of a {what} is more than {largest:.2g}, the largest of {np.dtype(dtype)}"
+        )
     if not np.any(used):
         raise ValueError(f"{label}: mask, weight and coverage leave no point to fit")
     saturated, dark = (
@@ -143,8 +151,8 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         raise ValueError(f"{label}.saturated: expected a number > 0, got {saturated:g}")
     if dark >= saturated:
         raise ValueError(f"{label}.dark: expected a number below `saturated`, {saturated:g}, got {dark:g}")
-    target = np.broadcast_to(np.where(used[:, None], target, 0.0), (layout.points, 3))
-    root_weight = np.sqrt(weight) * used[:, None]
+    target = np.broadcast_to(np.where(used, target, 0.0), (layout.points, 3))
+    root_weight = np.where(used, np.sqrt(weight), 0.0)
     rows = None if view.lights is None else _light_rows(label, scene, view.lights)
     chosen = [None] * 3 if rows is None else [rows[kind] for kind in LIGHT_KINDS]
     scopes = [_scope(getattr(scene, kind), own) for kind, own in zip(LIGHT_ATTRIBUTES, chosen, strict=True)]
