@@ -83,6 +83,24 @@ def test_files_that_no_fit_wrote_are_spared(
         assert file.read_text() != "mine"
 
 
+def test_every_file_that_a_fit_wrote_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also the textures beside the scene: one that is as it was, and one that was free."""
+    monkeypatch.chdir(tmp_path)
+    inner = "<Shape><Appearance><ImageTexture url='inner.png'/></Appearance><Box size='0.1 0.1 0.1'/></Shape>"
+    text = SCENE.replace("</Appearance>", "<ImageTexture url='skin.png'/></Appearance>")
+    Path("scene.x3d").write_text(text.replace("</Scene>", f"{inner}</Scene>"))
+    for name in ("skin", "inner"):
+        write_image(f"{name}.png", np.full((2, 2, 3), 0.5))
+    write_image("target.png", np.clip(sphere_picture(24), 0, 1))
+    words = ["scene.x3d", "target.png", "--output", "fitted", "--free", "Texture[0].image", "--max-steps", "1"]
+    assert main(["fit", *words]) == 1
+    written = capsys.readouterr().out.partition("\nwritten: ")[2].strip().split(", ")
+    there = {str(path) for path in Path("fitted").iterdir() if path.suffix not in (".jsonl", ".npz")}
+    assert set(written) == there and len(written) == len(there) == 6
+
+
 def test_start_values_are_counted_node_by_node() -> None:
     balls = [nodes.Appearance(material=nodes.Material()), nodes.Appearance(material=nodes.Material())]
     shapes = [nodes.Shape(appearance=one, geometry=nodes.Sphere()) for one in balls]

@@ -15,6 +15,7 @@ from PIL import Image
 
 from jaxlight.cli import main
 from jaxlight.cli.fit import Fit
+from jaxlight.cli.fit_job import loss_scale_of
 from jaxlight.cli.fit_views import make_views
 from jaxlight.cli.problem import CameraProblem, FitProblem, FitSettings, FreeProblem, MapsProblem, ViewProblem
 from jaxlight.cli.problem_file import ProblemFile
@@ -328,6 +329,48 @@ def test_a_view_says_what_the_library_is_given(folder: Path) -> None:
     np.testing.assert_allclose(side.noise, np.full((SIZE, SIZE), 0.02), atol=0.5 / 255)
     np.testing.assert_allclose(side.samples.eye, [4, 0, 0], atol=1e-6)
     np.testing.assert_allclose(np.asarray(side.samples.position)[:, 0], 0, atol=1e-6)  # the plane that depth says
+
+
+def test_a_picture_of_a_background_is_decoded_like_the_views(folder: Path) -> None:
+    """Numbers are linear light as they stand."""
+    import jaxlight as jl
+
+    backgrounds = ('"front.png"', "[0.5, 0.5, 0.5]", '"front.png"')
+    views = [
+        f'[[views]]\npicture = "front.png"\nname = "{row}"\nbackground = {one}\ndecode = "srgb"\n'
+        for row, one in enumerate(backgrounds)
+    ]
+    path = folder / "problem.toml"
+    path.write_text(GOOD.partition("[[views]]")[0] + "".join(views)[: -len('decode = "srgb"\n')])
+    file = ProblemFile(path)
+    picture, numbers, plain = make_views(file.problem, file, jl.load(file.problem.scene))
+    np.testing.assert_array_equal(picture.background, picture.target)
+    assert numbers.background == (0.5, 0.5, 0.5)
+    np.testing.assert_allclose(plain.background, jl.read_image(folder / "front.png"), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("loss", "noises", "scale"),
+    [
+        ("squares", (None, 0.1), None),
+        ("huber", (None, None), 0.02),
+        ("huber", (0.1, Path("noise.png")), 1.345),
+        ("cauchy", (0.1, 0.1), 2.385),
+    ],
+)
+def test_a_robust_loss_forgives_by_the_noise_where_it_is_stated(loss: Any, noises: Any, scale: float | None) -> None:
+    views = tuple(ViewProblem(picture=Path("front.png"), noise=noise) for noise in noises)
+    problem = FitProblem(scene=Path("scene.x3d"), views=views, free=(), loss=loss)
+    assert loss_scale_of(problem) == scale
+    assert loss_scale_of(dataclasses.replace(problem, loss_scale=3.0)) == 3.0
+
+
+def test_a_robust_loss_of_some_noise_needs_a_scale(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = folder / "problem.toml"
+    path.write_text(GOOD.replace("mask =", "noise = 0.1\nmask =").replace("[start]", 'loss = "huber"\n[start]'))
+    assert main(["fit", str(path), "--output", str(folder / "out")]) == 2
+    said = "4: loss: where only some views state their noise, huber needs a loss_scale"
+    assert said in capsys.readouterr().err
 
 
 def test_maps_without_a_camera_are_seen_along_parallel_rays(folder: Path) -> None:

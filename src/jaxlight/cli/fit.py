@@ -28,9 +28,9 @@ class Fit:
 
     `jaxlight info SCENE` lists the fields. The values in the scene are the start, unless --start gives others. A
     problem file says all of this in one place, and more (docs/problem-files.md). The folder --output gets scene.x3d
-    (the scene with the fitted values), one picture a view, report.html to look at, fit.json and log.jsonl for programs,
-    and checkpoint.npz for --resume. Ctrl-C ends the fit and keeps the best so far. Exit status 1 if it did not
-    converge."""
+    (the scene with the fitted values, its textures beside it), one picture a view, report.html to look at, fit.json and
+    log.jsonl for programs, and checkpoint.npz for --resume. Ctrl-C ends the fit and keeps the best so far. Exit status
+    1 if it did not converge."""
 
     scene: ScenePath
     """An X3D file or a mesh (glb, obj, ply, stl); or a problem file (.toml), which says everything."""
@@ -49,7 +49,8 @@ class Fit:
     decode: Literal["none", "srgb"] = "none"
     """What the pictures' numbers are: those of the equation, or sRGB of linear light (photographs)."""
     saturated: float | None = None
-    """Numbers from here on are only known to be at least this (default: 1 for pictures of 8 or 16 bits)."""
+    """Numbers from here on, as they are after --decode, are only known to be at least this (default: 1 for pictures of
+    8 or 16 bits)."""
     samples: int = 1
     """Samples a pixel; pixels where shapes meet are then compared as they are covered. Those at the rim of what is
     seen are left out: only a problem file says what is behind them (`background`)."""

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 MAX_ROWS = 60
 """Numbers listed on the terminal."""
 LOSS_SCALE = 0.02
+LOSS_SCALES_OF_NOISE = {"huber": 1.345, "cauchy": 2.385}
+"""In standard deviations: of normal noise they lose 5 % of what least squares would know."""
 _HEADING = (
     f"{'step':>5} {'loss':>12} {'residual':>12} {'gradient':>10} {'step norm':>10} {'damping':>9} {'seconds':>8} "
     f"{'left':>8}"
@@ -89,7 +91,7 @@ class FitJob:
                     views,
                     [Free(one.pop("path"), **one) for one in frees],
                     loss=problem.loss,
-                    loss_scale=_loss_scale(problem),
+                    loss_scale=loss_scale_of(problem),
                     options=problem.reading.lighting_options(),
                     max_steps=problem.max_steps,
                     rtol=problem.rtol,
@@ -108,9 +110,9 @@ class FitJob:
             if not result.history:
                 print(result.message, file=sys.stderr)
                 return INTERRUPTED
-            self._write(result, views, results, warned)
+            textures = self._write(result, views, results, warned)
             print(_summary(result))
-            print(f"\nwritten: {', '.join(str(path) for path in results)}")
+            print(f"\nwritten: {', '.join(str(path) for path in (*results, *textures))}")
             if interrupts.came or result.outcome == "interrupted":
                 return INTERRUPTED
             return SUCCESS if result.converged else FAILURE
@@ -128,6 +130,8 @@ class FitJob:
             raise self.source.error(("free",), "expected at least one field (jaxlight info SCENE lists them)")
         if problem.starts > 1 and problem.solver != "levenberg-marquardt":
             raise self.source.error(("starts",), f"the solver {problem.solver} explores no random starts")
+        with blamed_on(self.source, "loss"):
+            loss_scale_of(problem)
         if problem.output.exists() and not problem.output.is_dir():
             raise ValueError(f"{problem.output}: expected a folder, got a file")
         spare(input_files(problem), outputs(problem, problem.output))
@@ -167,7 +171,10 @@ class FitJob:
             _check_whole_nodes(scene, moved)
         return scene
 
-    def _write(self, result: Any, views: Sequence[Any], results: Sequence[Path], warned: Sequence[str]) -> None:
+    def _write(
+        self, result: Any, views: Sequence[Any], results: Sequence[Path], warned: Sequence[str]
+    ) -> Sequence[Path]:
+        """Write the results; the files of textures that lie beside the scene then."""
         from jaxlight import encode, save, write_image, write_report
         from jaxlight.fit import view_pictures
         from jaxlight.formats.safe_write import written_whole
@@ -175,13 +182,14 @@ class FitJob:
         scene_file, *picture_files, report_file, numbers_file = results
         with written_whole(numbers_file) as draft:
             draft.write_text(json.dumps(_numbers(result), indent=2, allow_nan=False) + "\n")
-        save(result.scene, scene_file)
+        _, *textures = save(result.scene, scene_file)
         asked = self.problem.views
         for path, one, pictures in zip(picture_files, asked, view_pictures(result, views), strict=True):
             write_image(path, encode(pictures.model, one.decode))
         title = f"{self.problem.scene.name} fitted to {', '.join(one.picture.name for one in asked)}"
         transfer = "srgb" if all(one.decode == "srgb" for one in asked) else "none"
         write_report(report_file, result, views, title=title, transfer=transfer, warnings=warned)
+        return textures
 
 
 def _check_whole_nodes(scene: jaxlight.Scene, moved: Mapping[Leaf, np.ndarray]) -> None:
@@ -214,9 +222,18 @@ def _heard() -> Iterator[list[str]]:
         warnings.showwarning = shown
 
 
-def _loss_scale(problem: FitProblem) -> float | None:
-    """The scale that was asked for, or that of a loss which needs one."""
-    return LOSS_SCALE if problem.loss_scale is None and problem.loss != "squares" else problem.loss_scale
+def loss_scale_of(problem: FitProblem) -> float | None:
+    """The scale that was asked for, or that of a loss which needs one: in units of the noise where that is stated.
+
+    Raises:
+        ValueError: only some views state their noise, so that there is no scale for all.
+    """
+    if problem.loss == "squares" or problem.loss_scale is not None:
+        return problem.loss_scale
+    stated = [view.noise is not None for view in problem.views]
+    if any(stated) and not all(stated):
+        raise ValueError(f"where only some views state their noise, {problem.loss} needs a loss_scale")
+    return LOSS_SCALES_OF_NOISE[problem.loss] if all(stated) else LOSS_SCALE
 
 
 def _method(problem: FitProblem) -> Any:

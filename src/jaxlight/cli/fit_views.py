@@ -54,6 +54,9 @@ def _make_view(
             image = image[..., :-1]
         return image.mean(axis=-1) if grey or image.shape[2] == 1 else image
 
+    background = beside("background", grey=False)
+    if isinstance(view.background, Path):
+        background = decode(background, view.decode)
     mask = beside("mask", grey=True)
     mask = None if mask is None else is_chosen(mask)
     if target.shape[2] in (2, 4):
@@ -80,7 +83,7 @@ def _make_view(
         lights=view.lights,
         saturated=1.0 if view.saturated is None and ends_at_one else view.saturated,
         dark=view.dark,
-        background=beside("background", grey=False),
+        background=background,
         name=name,
     )
 

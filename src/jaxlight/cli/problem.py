@@ -49,7 +49,8 @@ class FitSettings:
     loss: Literal["squares", "huber", "cauchy"] = "squares"
     """Huber and Cauchy forgive what the scene cannot explain."""
     loss_scale: float | None = None
-    """Residual from which huber and cauchy forgive (default: 0.02)."""
+    """Residual from which huber and cauchy forgive (default: 0.02; where a problem file states the noise of every view
+    1.345 and 2.385 of its standard deviations)."""
     solver: Literal["levenberg-marquardt", "bfgs", "lbfgs"] = "levenberg-marquardt"
     """The bounded Levenberg-Marquardt, or a minimiser that only approaches bounds and cannot be resumed."""
     max_steps: int = 100

@@ -17,7 +17,7 @@ from .x3d_writer import all_nodes, write_x3d
 from .xml_elements import parse_xml
 
 
-def save(scene: Scene, path: str | Path) -> None:
+def save(scene: Scene, path: str | Path) -> tuple[Path, ...]:
     """Write a scene as an X3D file in its XML encoding.
 
     A scene that was loaded from an X3D file is written into that file's text: only the attributes whose values changed
@@ -28,6 +28,9 @@ def save(scene: Scene, path: str | Path) -> None:
     Args:
         scene: its leaves (materials, lights, fog, textures) say the values, its document where they belong.
         path: ends in .x3d. The file is replaced at once when everything is written; an error leaves it as it was.
+
+    Returns:
+        The files that were written: `path`, and those of textures beside it.
 
     Raises:
         ValueError: another suffix; a value out of its field's range; one node used several times (USE) whose rows now
@@ -53,6 +56,7 @@ def save(scene: Scene, path: str | Path) -> None:
     plan.carry_out()
     with written_whole(path) as draft:
         draft.write_bytes(data)
+    return (path, *plan.files)
 
 
 def _edited_source(source: X3DSource, changes: dict[nodes.Node, nodes.Node], plan: TexturePlan) -> bytes:

@@ -121,6 +121,12 @@ class TexturePlan:
         self._images[target] = image
         return (urllib.parse.quote(target.name),)
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What `carry_out` writes, in the folder of `path`."""
+        places = (*self._copies, *self._images)
+        return tuple(self.path.parent / place.relative_to(self._folder.path) for place in places)
+
     def carry_out(self) -> None:
         """Write and copy the files; each is whole or not there."""
         for target, origin in self._copies.items():
