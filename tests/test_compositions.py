@@ -103,13 +103,6 @@ def on_two_devices(lights: int, *, whole: bool) -> None:
         total = mapped(on_each, (SHARED, OWN, SHARED), SHARED)
         found = jax.jit(jax.value_and_grad(total, (0, 2)))(scene, samples, FACTOR)
         assert_close(found, (value, (slope, jnp.sum(by_factors))))
-
-        def of_all(scene: Scene, samples: SampleBuffer, loss: Loss = loss) -> jax.Array:
-            return jnp.sum(jax.vmap(lambda one: loss(scene, one, FACTOR))(samples))
-
-        # What each device does is left to XLA.
-        divided = jax.device_put(samples, NamedSharding(mesh, OWN))
-        assert_close(jax.jit(jax.grad(of_all))(scene, divided), slope)
         if whole and loss is tiles:
             assert_close(jax.jit(mapped(slope_on_each, (SHARED, OWN, SHARED), SHARED))(scene, samples, FACTOR), slope)
             assert_close(jax.grad(total)(scene, samples, FACTOR), slope)  # outside of jit
@@ -118,6 +111,13 @@ def on_two_devices(lights: int, *, whole: bool) -> None:
             total = mapped(lambda *all: on_each(*all[:2], all[2][0]), (SHARED, OWN, OWN), SHARED)
             found = jax.jit(jax.value_and_grad(total, (0, 2)))(scene, samples, factors)
             assert_close(found, alone(scene, factors))
+
+    def of_all(scene: Scene, samples: SampleBuffer) -> jax.Array:
+        return jnp.sum(jax.vmap(lambda one: of_colors(plan)(scene, one, FACTOR))(samples))
+
+    # What each device does is left to XLA.
+    divided = jax.device_put(samples, NamedSharding(mesh, OWN))
+    assert_close(jax.jit(jax.grad(of_all))(scene, divided), slope)
 
 
 @pytest.mark.parametrize(("lights", "whole"), [(1, True), pytest.param(40, False, marks=pytest.mark.thorough)])
