@@ -130,7 +130,9 @@ def test_devices_of_a_mesh_that_keeps_account_of_what_varies(lights: int, whole:
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize(("lights", "fog_type"), [(1, "LINEAR"), (12, "EXPONENTIAL")])
+@pytest.mark.parametrize(
+    ("lights", "fog_type"), [(1, "LINEAR"), pytest.param(12, "EXPONENTIAL", marks=pytest.mark.thorough)]
+)
 def test_a_mesh_of_explicit_axes(lights: int, fog_type: str) -> None:
     """Of arrays that are divided along no axis, along one that is mapped over, and along that of samples."""
     scene, samples = scene_under_lights(lights, fog_type), buffer(1)

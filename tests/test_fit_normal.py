@@ -164,7 +164,11 @@ KINDS = [
 ]  # fmt: skip
 
 
-RARE = ["one of many lights", "a light of its own in each view of every kind", "every light of every kind, one by one"]
+RARE = [
+    "one of many lights", "a light of its own in each view of every kind", "every light of every kind, one by one",
+    "materials and ties between them", "nothing but materials + huber",
+]  # fmt: skip
+"""What others say as well."""
 
 
 def dense(problem: Problem, values: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

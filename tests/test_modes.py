@@ -190,7 +190,7 @@ def test_derivatives_agree_in_every_mode() -> None:
         np.testing.assert_allclose(twice_forward, dotted(forward_over_reverse), rtol=tolerance)
 
 
-@pytest.mark.parametrize(("lights", "radius"), [(2, 100.0), (40, 0.5)])
+@pytest.mark.parametrize(("lights", "radius"), [pytest.param(2, 100.0, marks=pytest.mark.thorough), (40, 0.5)])
 def test_derivatives_of_mapped_samples_are_those_of_each(lights: int, radius: float) -> None:
     """Few lights, in one loop, and lists of many."""
     random = np.random.default_rng(3)
