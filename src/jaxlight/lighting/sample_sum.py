@@ -56,7 +56,8 @@ def sum_over_samples(
     Args:
         function: function(color, *planes) of n samples, each by itself: color [4, n], red, green, blue and alpha as
             `shade` gives them, planes [..., n]; gives [..., n], of which all is summed. It may close over traced
-            arrays, of which derivatives are taken too.
+            arrays, of which derivatives are taken too; where scene or samples lie on a mesh of explicit axes, over no
+            arrays.
         scene, samples, options, plan: as of `shade`.
         planes: what else belongs to each sample, as `SampleBuffer.in_storage_order` gives it: [..., slots].
 
