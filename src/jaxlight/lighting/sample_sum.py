@@ -124,15 +124,15 @@ def _terms(values: Float[Array, "... samples"], is_sample: Array | None, dtype: 
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0, 1, 2))
-def _sum(function: Function, plan: Plan, axes: Axes, *operands: Any) -> Array:
+def _sum(function: Program, plan: Plan, axes: Axes, *operands: Any) -> Array:
     return unaware(_whole, (function, plan), axes, *operands)
 
 
 @usual_promotion
-def _forward(function: Function, plan: Plan, axes: Axes, *operands: Any) -> tuple[Array, Any]:
+def _forward(function: Program, plan: Plan, axes: Axes, *operands: Any) -> tuple[Array, Any]:
     asked = jax.tree.map(lambda operand: operand.perturbed, operands)
     values = jax.tree.map(lambda operand: operand.value, operands)
-    if isinstance(function, Program) and function.key is not None and not is_traced(values):
+    if not is_traced(values) and function.key is not None:
         return _slope_in_jit(function, plan, asked, *values)
     return unaware(partial(_with_slope, function, plan, asked), (), axes, *values)
 
@@ -159,7 +159,7 @@ def _with_slope(
 _slope_in_jit = quick_jit(_with_slope)
 
 
-def _backward(function: Function, plan: Plan, axes: Axes, slope: Any, cotangent: Array) -> Any:
+def _backward(function: Program, plan: Plan, axes: Axes, slope: Any, cotangent: Array) -> Any:
     return jax.tree.map(lambda own: cotangent.astype(own.dtype) * own, slope)
 
 
