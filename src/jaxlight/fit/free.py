@@ -61,89 +61,129 @@ def free_parameters(
     requests = _requests(free)
     if not requests:
         raise ValueError("free: no field is free; name at least one, such as 'Material[0].diffuse_color'")
-    values: list[float] = []
-    lower: list[float] = []
-    upper: list[float] = []
-    means: list[float] = []
-    precisions: list[float] = []
-    taken: dict[tuple[Any, int], int] = {}
-    members: dict[str, list[tuple[Chosen, int]]] = {}
-    whole: list[tuple[Free, paths.Leaf]] = []
-    first_of_tie: dict[tuple[Any, ...], int] = {}
     catalogue = Catalogue(world)
+    numbers = _Numbers()
+    whole: list[tuple[Free, paths.Leaf]] = []
     for place, request in enumerate(requests):
         chosen, textures = choose(catalogue, request.where, view_names, blocks=blocks and not request.tied)
         whole += [(request, leaf) for leaf in textures]
-        if not chosen and textures:
-            continue
-        if request.smoothness is not None or request.total_variation is not None:
-            kind = f"whole textures of at least {MIN_BLOCK} colours" + (" that are not tied" if request.tied else "")
-            raise ValueError(f"{chosen[0].path}: smoothness and total_variation are for {kind}")
-        rows = list(dict.fromkeys(one.path for one in chosen))
-        _check_lengths(request, chosen)
-        if request.tied not in (True, False, "all"):
-            raise ValueError(f"{rows[0]}: tied: expected True, False or 'all', got {request.tied!r}")
-        if request.tied is True:
-            _check_tie(chosen, rows)
-        seen: dict[str, int] = {}
-        for one in chosen:
-            component = seen[one.path] = seen.get(one.path, -1) + 1
-            tie: tuple[Any, ...] = (one.leaf, catalogue.first_row(one), one.component)  # one number of one node
-            if request.tied:
-                tie = (place, 0 if request.tied == "all" else component)
-            if (one.leaf, one.element) in taken:
-                raise ValueError(f"free: {one.label} is named twice")
-            value = catalogue.value(one)
-            low, high = _bounds(request, one, component, value)
-            if request.tied == "all":
-                _check_one_prior(request, one)
-            if tie in first_of_tie:
-                number = first_of_tie[tie]
-                _check_inside(f"{one.label}, which is tied,", values[number], low, high)
-                lower[number], upper[number] = max(lower[number], low), min(upper[number], high)
-                values[number] = min(max(values[number], lower[number]), upper[number])
-            else:
-                number = first_of_tie[tie] = len(values)
-                mean, deviation = _prior(request, one, component, value)
-                values.append(min(max(value, low), high))
-                lower.append(low)
-                upper.append(high)
-                means.append(mean)
-                precisions.append(0.0 if deviation is None else deviation**-2)
-            taken[one.leaf, one.element] = number
-            members.setdefault(one.path, []).append((one, number))
-    leaves = []
-    for leaf in dict.fromkeys(leaf for leaf, _ in taken):
-        source = np.full(world.array(leaf).size, -1, np.int32)
-        for (owner, element), number in taken.items():
-            if owner == leaf:
-                source[element] = number
-        leaves.append(FreeLeaf(array_of(source, np.int32), leaf))
-    columns = [np.array(column) for column in (values, lower, upper, means, precisions)]
-    made = []
+        if chosen:
+            _check_options(request, chosen)
+            _add_numbers(numbers, catalogue, request, chosen, place)
+    columns, made = numbers.columns(), []
     for request, leaf in whole:
-        if any(owner == leaf for owner, _ in taken) or any(block.texture == leaf.row for block in made):
+        if numbers.has(leaf) or any(block.texture == leaf.row for block in made):
             raise ValueError(f"free: Texture[{leaf.row}].image is named twice")
         block, own = _texel_block(world, request, leaf, len(columns[0]), dtype)
         made.append(block)
         columns = [np.concatenate(pair) for pair in zip(columns, own, strict=True)]
     arrays = (array_of(column, dtype) for column in columns)
-    return Parameters(*arrays, leaves=tuple(leaves), blocks=tuple(made)), _described(members)
+    return Parameters(*arrays, leaves=numbers.leaves(world), blocks=tuple(made)), numbers.fields()
 
 
-def _described(members: dict[str, list[tuple[Chosen, int]]]) -> list[FreeField]:
-    return [
-        FreeField(
-            path,
-            parts[0][0].leaf,
-            parts[0][0].row,
-            tuple(one.label for one, _ in parts),
-            np.array([one.component for one, _ in parts]),
-            np.array([number for _, number in parts]),
-            parts[0][0].range,
-        )
-        for path, parts in members.items()
-    ]
+class _Numbers:
+    """The numbers that are free, as they are found: start, bounds and prior of each, and what each sets."""
+
+    def __init__(self) -> None:
+        self._start: list[float] = []
+        self._lower: list[float] = []
+        self._upper: list[float] = []
+        self._mean: list[float] = []
+        self._precision: list[float] = []
+        self._of_tie: dict[tuple[Any, ...], int] = {}
+        self._members: dict[str, list[tuple[Chosen, int]]] = {}
+        self._sets: dict[paths.Leaf | None, dict[int, int]] = {}
+        """Of each leaf which number sets an element."""
+
+    def has(self, leaf: paths.Leaf | None, element: int | None = None) -> bool:
+        """Whether an element of a leaf, or any of its elements, is set by a number."""
+        return leaf in self._sets and (element is None or element in self._sets[leaf])
+
+    def add(
+        self,
+        one: Chosen,
+        tie: tuple[Any, ...],
+        value: float,
+        bounds: tuple[float, float],
+        prior: tuple[float, float | None],
+    ) -> None:
+        """One more that is free; those of the same tie are one number, which begins at the first one's start."""
+        low, high = bounds
+        if tie in self._of_tie:
+            number = self._of_tie[tie]
+            _check_inside(f"{one.label}, which is tied,", self._start[number], low, high)
+            low, high = max(self._lower[number], low), min(self._upper[number], high)
+            self._lower[number], self._upper[number] = low, high
+            self._start[number] = min(max(self._start[number], low), high)
+        else:
+            number = self._of_tie[tie] = len(self._start)
+            mean, deviation = prior
+            self._start.append(min(max(value, low), high))
+            self._lower.append(low)
+            self._upper.append(high)
+            self._mean.append(mean)
+            self._precision.append(0.0 if deviation is None else deviation**-2)
+        self._sets.setdefault(one.leaf, {})[one.element] = number
+        self._members.setdefault(one.path, []).append((one, number))
+
+    def columns(self) -> list[np.ndarray]:
+        """The first fields of `Parameters`, from `start` to `prior_precision`."""
+        return [np.array(column) for column in (self._start, self._lower, self._upper, self._mean, self._precision)]
+
+    def leaves(self, world: World) -> tuple[FreeLeaf, ...]:
+        """Where the numbers go."""
+        leaves = []
+        for leaf, numbers in self._sets.items():
+            source = np.full(world.array(leaf).size, -1, np.int32)
+            source[list(numbers)] = list(numbers.values())
+            leaves.append(FreeLeaf(array_of(source, np.int32), leaf))
+        return tuple(leaves)
+
+    def fields(self) -> list[FreeField]:
+        """The description by field."""
+        return [
+            FreeField(
+                path,
+                parts[0][0].leaf,
+                parts[0][0].row,
+                tuple(one.label for one, _ in parts),
+                np.array([one.component for one, _ in parts]),
+                np.array([number for _, number in parts]),
+                parts[0][0].range,
+            )
+            for path, parts in self._members.items()
+        ]
+
+
+def _add_numbers(numbers: _Numbers, catalogue: Catalogue, request: Free, chosen: list[Chosen], place: int) -> None:
+    """Add what a request, by its place among all, means."""
+    seen: Counter[str] = Counter()
+    for one in chosen:
+        component = seen[one.path]
+        seen[one.path] += 1
+        tie: tuple[Any, ...] = (one.leaf, catalogue.first_row(one), one.component)  # one number of one node
+        if request.tied:
+            tie = (place, 0 if request.tied == "all" else component)
+        if numbers.has(one.leaf, one.element):
+            raise ValueError(f"free: {one.label} is named twice")
+        value = catalogue.value(one)
+        prior = _prior(request, one, component, value)
+        numbers.add(one, tie, value, _bounds(request, one, component, value), prior)
+
+
+def _check_options(request: Free, chosen: list[Chosen]) -> None:
+    """What is said about numbers must fit them, those of textures as a whole apart."""
+    path = chosen[0].path
+    if request.smoothness is not None or request.total_variation is not None:
+        kind = f"whole textures of at least {MIN_BLOCK} colours" + (" that are not tied" if request.tied else "")
+        raise ValueError(f"{path}: smoothness and total_variation are for {kind}")
+    _check_lengths(request, chosen)
+    if request.tied not in (True, False, "all"):
+        raise ValueError(f"{path}: tied: expected True, False or 'all', got {request.tied!r}")
+    if request.tied is True:
+        _check_tie(chosen)
+    if request.tied == "all":
+        _check_one_prior(request, path)
 
 
 def _texel_block(
@@ -219,10 +259,10 @@ def _with_options(path: Any, options: Any) -> Free:
     return Free(path, **options)
 
 
-def _check_tie(chosen: list[Chosen], rows: list[str]) -> None:
-    sizes = {row: sum(one.path == row for one in chosen) for row in rows}
+def _check_tie(chosen: list[Chosen]) -> None:
+    sizes = Counter(one.path for one in chosen)
     if len(set(sizes.values())) > 1:
-        listed = ", ".join(f"{row} ({size})" for row, size in sizes.items())
+        listed = ", ".join(f"{path} ({size})" for path, size in sizes.items())
         raise ValueError(f"free: tied fields need the same number of components; got {listed}")
 
 
@@ -269,12 +309,12 @@ def _check_inside(what: str, start: float, low: float, high: float) -> None:
         raise ValueError(f"{what} starts at {start:g}, outside its bounds [{low:g}, {high:g}]")
 
 
-def _check_one_prior(request: Free, one: Chosen) -> None:
+def _check_one_prior(request: Free, path: str) -> None:
     """Numbers that are all one have one prior."""
     for option in ("mean", "deviation"):
         given = getattr(request, option)
         if given is not None and len(set(_flat(given).tolist())) > 1:
-            raise ValueError(f"{one.path}: {option}: expected one number where all are tied, got {given!r:.60}")
+            raise ValueError(f"{path}: {option}: expected one number where all are tied, got {given!r:.60}")
 
 
 def _prior(request: Free, one: Chosen, component: int, value: float) -> tuple[float, float | None]:

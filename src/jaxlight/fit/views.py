@@ -9,7 +9,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..arrays import array_of
 from ..formats.levels import is_chosen, refuse_levels
@@ -96,35 +96,53 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
     if not isinstance(samples, SampleBuffer):
         raise ValueError(f"{label}.samples: expected a SampleBuffer, got {type(samples).__name__}")
     layout = _Layout.of(label, samples)
-    mask = np.ones(layout.points, dtype=bool)
-    if view.mask is not None:
-        mask = layout.points_of("mask", is_chosen(view.mask, f"{label}.mask: "), grey=True)[:, 0] != 0
-    weight = np.ones((layout.points, 1))
-    if view.weight is not None:
-        weight = layout.points_of("weight", view.weight)
-        if not np.all(np.isfinite(weight) & (weight >= 0)):
-            raise ValueError(f"{label}.weight: every weight must be finite and >= 0")
-    if view.noise is not None:
-        noise = _numbers(f"{label}.noise", view.noise)
-        noise = np.full((layout.points, 1), noise) if noise.ndim == 0 else layout.points_of("noise", noise)
-        if not np.all(np.isfinite(noise) & (noise > 0)):
-            raise ValueError(f"{label}.noise: every standard deviation must be finite and > 0")
-        with np.errstate(all="ignore"):  # what is too little or too much is said below
-            weight = weight / noise**2
-    background = None
-    if view.background is not None:
-        _refuse_levels(f"{label}.background", view.background)
-        background = _numbers(f"{label}.background", view.background)
-        background = background[None].repeat(layout.points, 0) if background.shape == (3,) else None
-        if background is None:
-            background = layout.points_of("background", view.background)
-        if not np.all(np.isfinite(background)):
-            raise ValueError(f"{label}.background: every number must be finite")
-    elif layout.covered is not None:
-        mask &= layout.covered > 1 - 1e-6
+    background = _background(view, layout)
+    target, weight = _seen_and_heard(view, layout, dtype)
+    dark, saturated = _sensor_limits(view, label)
+    rows = None if view.lights is None else _light_rows(label, scene, view.lights)
+    chosen = [None] * 3 if rows is None else [rows[kind] for kind in LIGHT_KINDS]
+    scopes = [_scope(getattr(scene, kind), own) for kind, own in zip(LIGHT_ATTRIBUTES, chosen, strict=True)]
+    return ViewData(
+        samples=samples,
+        target=layout.stored(target, dtype),
+        root_weight=layout.stored(np.sqrt(weight), dtype),
+        saturated=array_of(saturated, dtype),
+        dark=array_of(dark, dtype),
+        row=array_of(row, jnp.int32),
+        lights=tuple(None if own is None else jnp.asarray(own) for own in chosen),
+        in_scope=tuple(scopes),
+        plan=None,
+        background=None if background is None else layout.stored(background, dtype),
+        pixel=None if layout.pixel is None else array_of(layout.pixel, jnp.int32),
+        share=None if layout.share is None else array_of(layout.share, dtype),
+    )
+
+
+def _background(view: View, layout: _Layout) -> Float[np.ndarray, "points 3"] | None:
+    """What shines through where samples do not cover their pixel, or are not opaque."""
+    if view.background is None:
+        return None
+    where = f"{layout.label}.background"
+    _refuse_levels(where, view.background)
+    background = _numbers(where, view.background)
+    if background.shape == (3,):
+        background = np.broadcast_to(background, (layout.points, 3))
+    else:
+        background = layout.points_of("background", view.background)
+    if not np.all(np.isfinite(background)):
+        raise ValueError(f"{where}: every number must be finite")
+    return background
+
+
+def _seen_and_heard(
+    view: View, layout: _Layout, dtype: Any
+) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points channels"]]:
+    """The target and its weights; where these are 0 both are."""
+    label = layout.label
+    weight = _weights(view, layout)
+    used = _mask(view, layout)[:, None] & (weight > 0)
     _refuse_levels(f"{label}.target", view.target)
     target = layout.points_of("target", view.target)
-    used = mask[:, None] & (weight > 0)
     bad = np.any(used & ~np.isfinite(target), axis=1)
     if np.any(bad):
         raise ValueError(
@@ -143,33 +161,48 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
         )
     if not np.any(used):
         raise ValueError(f"{label}: mask, weight and coverage leave no point to fit")
-    saturated, dark = (
+    return np.broadcast_to(np.where(used, target, 0.0), (layout.points, 3)), np.where(used, weight, 0.0)
+
+
+def _mask(view: View, layout: _Layout) -> Bool[np.ndarray, " points"]:
+    """The points to fit; without a background those only that samples cover wholly."""
+    mask = np.ones(layout.points, dtype=bool)
+    if view.mask is not None:
+        chosen = is_chosen(view.mask, f"{layout.label}.mask: ")
+        mask = layout.points_of("mask", chosen, grey=True)[:, 0] != 0
+    if view.background is None and layout.covered is not None:
+        mask &= layout.covered > 1 - 1e-6
+    return mask
+
+
+def _weights(view: View, layout: _Layout) -> Float[np.ndarray, "points channels"]:
+    """weight / noise^2; one channel, or one a colour."""
+    label, weight = layout.label, np.ones((layout.points, 1))
+    if view.weight is not None:
+        weight = layout.points_of("weight", view.weight)
+        if not np.all(np.isfinite(weight) & (weight >= 0)):
+            raise ValueError(f"{label}.weight: every weight must be finite and >= 0")
+    if view.noise is None:
+        return weight
+    noise = _numbers(f"{label}.noise", view.noise)
+    noise = np.full((layout.points, 1), noise) if noise.ndim == 0 else layout.points_of("noise", noise)
+    if not np.all(np.isfinite(noise) & (noise > 0)):
+        raise ValueError(f"{label}.noise: every standard deviation must be finite and > 0")
+    with np.errstate(all="ignore"):  # what is too little or too much is said where it is used
+        return weight / noise**2
+
+
+def _sensor_limits(view: View, label: str) -> tuple[float, float]:
+    """`dark` and `saturated`; where there is none, infinite."""
+    dark, saturated = (
         default if given is None else number(f"{label}.{field}", given, infinite=True)
-        for field, given, default in (("saturated", view.saturated, np.inf), ("dark", view.dark, -np.inf))
+        for field, given, default in (("dark", view.dark, -np.inf), ("saturated", view.saturated, np.inf))
     )
     if saturated <= 0:
         raise ValueError(f"{label}.saturated: expected a number > 0, got {saturated:g}")
     if dark >= saturated:
         raise ValueError(f"{label}.dark: expected a number below `saturated`, {saturated:g}, got {dark:g}")
-    target = np.broadcast_to(np.where(used, target, 0.0), (layout.points, 3))
-    root_weight = np.where(used, np.sqrt(weight), 0.0)
-    rows = None if view.lights is None else _light_rows(label, scene, view.lights)
-    chosen = [None] * 3 if rows is None else [rows[kind] for kind in LIGHT_KINDS]
-    scopes = [_scope(getattr(scene, kind), own) for kind, own in zip(LIGHT_ATTRIBUTES, chosen, strict=True)]
-    return ViewData(
-        samples=samples,
-        target=layout.stored(target, dtype),
-        root_weight=layout.stored(root_weight, dtype),
-        saturated=array_of(saturated, dtype),
-        dark=array_of(dark, dtype),
-        row=array_of(row, jnp.int32),
-        lights=tuple(None if own is None else jnp.asarray(own) for own in chosen),
-        in_scope=tuple(scopes),
-        plan=None,
-        background=None if background is None else layout.stored(background, dtype),
-        pixel=None if layout.pixel is None else array_of(layout.pixel, jnp.int32),
-        share=None if layout.share is None else array_of(layout.share, dtype),
-    )
+    return dark, saturated
 
 
 def exposure_of(view: View, row: int) -> float:
