@@ -43,15 +43,31 @@ def test_any_other_number_makes_another_program() -> None:
     assert Program(jax.make_jaxpr(lambda c: c)(COLORS[:3]).jaxpr) != program(lambda c: c)
 
 
-def test_rules_of_a_derivative_cannot_be_compared() -> None:
-    def own(rule: float) -> Callable[..., Any]:
+def test_rules_of_a_derivative_are_compared_by_what_they_compute() -> None:
+    def of_jvp(rule: float) -> Callable[..., Any]:
         doubled = jax.custom_jvp(lambda c: 2 * c)
         doubled.defjvp(lambda primals, tangents: (2 * primals[0], rule * tangents[0]))
         return doubled
 
-    one, other = program(own(2.0)), program(own(3.0))
+    def of_vjp(rule: Any) -> Callable[..., Any]:
+        doubled = jax.custom_vjp(lambda c: 2 * c)
+        doubled.defvjp(lambda c: (2 * c, None), lambda _, cotangent: (rule * cotangent,))
+        return doubled
+
+    for own in (of_jvp, of_vjp):
+        one, again, other = program(own(2.0)), program(own(2.0)), program(own(3.0))
+        assert one == again and hash(one) == hash(again) and one != other
+        np.testing.assert_array_equal(one(COLORS), 2 * COLORS)
+    assert program(of_vjp(np.arange(16.0))) != program(of_vjp(np.arange(16.0) + 1))
+    assert program(jax.nn.softplus) == program(lambda c: jax.nn.softplus(c)) != program(jax.nn.relu)
+
+
+def test_what_cannot_be_compared_is_equal_to_itself() -> None:
+    def called(c: Any) -> Any:
+        return jax.pure_callback(lambda own: np.asarray(own), jax.ShapeDtypeStruct(c.shape, c.dtype), c)
+
+    one, other = program(called), program(lambda c: called(c))
     assert one != other and one == one and hash(one) == hash(one)
-    np.testing.assert_array_equal(one(COLORS), 2 * COLORS)
 
 
 def test_constants_are_given_anew() -> None:

@@ -133,15 +133,18 @@ def test_numbers_of_half_precision_are_added_up_in_single() -> None:
 
 
 def test_gradients_outside_of_jit_are_compiled_once() -> None:
-    """Whatever numbers change, and though the function is made anew; another one is another program."""
+    """Whatever numbers change, and though the function, with rules of derivatives in it, is made anew; another one is
+    another program."""
     scene, samples, target = two_surfaces("float32", 60)
     stored = samples.in_storage_order(target, axis=0).T
 
     def slope(scene: Scene, target: Any, exposure: float = 1.0, power: int = 2) -> Any:
         factor = jnp.asarray(exposure)
-        return jax.grad(
-            lambda scene: sum_over_samples(lambda c, t: (factor * c[:3] - t) ** power, scene, samples, target)
-        )(scene)
+
+        def loss(color: Any, target: Any) -> Any:
+            return jax.nn.softplus(factor * color[:3] - target) ** power
+
+        return jax.grad(lambda scene: sum_over_samples(loss, scene, samples, target))(scene)
 
     brighter = eqx.tree_at(lambda scene: scene.point.intensity, scene, replace_fn=lambda old: old / 2)
     one, other, double = slope(scene, stored), slope(brighter, stored / 2), slope(scene, stored, 2.0)

@@ -11,15 +11,23 @@ from types import FunctionType, MethodType
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 from jax.extend.linear_util import WrappedFun
 from jaxtyping import Array
 
+_NONE: frozenset[str] = frozenset()
+_RULES = frozenset(["jvp_jaxpr_fun", "fwd_jaxpr_thunk", "bwd", "out_trees"])
+"""Parameters of functions with derivative rules of their own: made anew whenever they are traced."""
+
 
 class Program:
-    """A traced function of arrays; what it closes over is given after its operands."""
+    """A traced function of arrays; what it closes over is given after its operands.
+
+    Two are equal if they compute the same, and their first derivatives in reverse too.
+    """
 
     def __init__(self, jaxpr: Jaxpr) -> None:
         self._jaxpr = jaxpr
@@ -32,9 +40,28 @@ class Program:
     def key(self) -> Hashable:
         """All that it computes; None where that cannot be told, so that it is equal to itself alone."""
         try:
-            return _of_jaxpr(self._jaxpr)
+            return _of_jaxpr(self._jaxpr, _NONE)
+        except TypeError:
+            pass
+        try:
+            return _of_jaxpr(self._jaxpr, _RULES), _of_value(self._derivative(), _RULES)
         except TypeError:
             return None
+
+    def _derivative(self) -> ClosedJaxpr:
+        """What it computes when it is differentiated in reverse by all floating-point numbers: rules are followed."""
+        variables: list[Any] = [*self._jaxpr.invars, *self._jaxpr.constvars, *self._jaxpr.outvars]
+        *shapes, value = [jax.ShapeDtypeStruct(own.aval.shape, own.aval.dtype) for own in variables]
+        moving = [place for place, shape in enumerate(shapes) if jnp.issubdtype(shape.dtype, jnp.inexact)]
+
+        def pulled(operands: list[Array], cotangent: Array) -> Any:
+            def value_at(moved: list[Array]) -> Array:
+                own = dict(enumerate(operands)) | dict(zip(moving, moved, strict=True))
+                return self(*own.values())
+
+            return jax.vjp(value_at, [operands[place] for place in moving])[1](cotangent)
+
+        return jax.make_jaxpr(pulled)(shapes, value)
 
     def __hash__(self) -> int:
         return id(self) if self.key is None else hash(self.key)
@@ -43,7 +70,8 @@ class Program:
         return self is other or (isinstance(other, Program) and self.key is not None and self.key == other.key)
 
 
-def _of_jaxpr(jaxpr: Jaxpr) -> Hashable:
+def _of_jaxpr(jaxpr: Jaxpr, left_out: frozenset[str]) -> Hashable:
+    """`left_out`: parameters, by name, that are not looked at."""
     places: dict[Any, int] = {}
 
     def put(variable: Any) -> Hashable:
@@ -51,26 +79,29 @@ def _of_jaxpr(jaxpr: Jaxpr) -> Hashable:
         return variable.aval
 
     def read(atom: Any) -> Hashable:
-        return (atom.aval, _of_value(atom.val)) if isinstance(atom, Literal) else places[atom]
+        return (atom.aval, value_of(atom.val)) if isinstance(atom, Literal) else places[atom]
+
+    def value_of(value: Any) -> Hashable:
+        return _of_value(value, left_out)
 
     given = tuple(map(put, (*jaxpr.constvars, *jaxpr.invars)))
     steps = [
-        (step.primitive, tuple(map(read, step.invars)), _of_value(step.params), tuple(map(put, step.outvars)))
+        (step.primitive, tuple(map(read, step.invars)), value_of(step.params), tuple(map(put, step.outvars)))
         for step in jaxpr.eqns
     ]
     return given, tuple(steps), tuple(map(read, jaxpr.outvars))
 
 
-def _of_value(value: Any) -> Hashable:
+def _of_value(value: Any, left_out: frozenset[str]) -> Hashable:
     """Equal only for equal values; TypeError for functions and what else may differ unseen."""
     if isinstance(value, Jaxpr):
-        return _of_jaxpr(value)
+        return _of_jaxpr(value, left_out)
     if isinstance(value, ClosedJaxpr):
-        return _of_jaxpr(value.jaxpr), _of_value(value.consts)
+        return _of_jaxpr(value.jaxpr, left_out), _of_value(value.consts, left_out)
     if isinstance(value, (tuple, list)):
-        return type(value), tuple(map(_of_value, value))
+        return type(value), tuple(_of_value(own, left_out) for own in value)
     if isinstance(value, dict):
-        return tuple((name, _of_value(value[name])) for name in sorted(value))
+        return tuple((name, _of_value(value[name], left_out)) for name in sorted(value) if name not in left_out)
     if isinstance(value, (Tracer, FunctionType, MethodType, functools.partial, WrappedFun)):
         raise TypeError(f"cannot be compared: {value!r:.60}")
     if isinstance(value, (np.ndarray, np.generic, jax.Array, float, complex)):
