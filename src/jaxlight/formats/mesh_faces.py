@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from ..scene import nodes
+from ..scene.indices import check_indices
 from .gltf_header import GltfMaterial
 from .notes import ReadNotes
-from .x3d_checks import check_indices
 
 CREASE_ANGLE = np.pi / 3
 """Radians. Meshes without normals are smooth up to this angle between faces: curved surfaces are, boxes are not."""

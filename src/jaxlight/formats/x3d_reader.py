@@ -12,11 +12,11 @@ from typing import Any
 
 from ..scene import nodes
 from ..scene.fields import with_article
+from ..scene.indices import check_indices
 from .errors import SceneFileError
 from .folder import ResourceFolder
 from .limits import MAX_NESTING
 from .notes import ReadNotes
-from .x3d_checks import check_indices
 from .x3d_fields import X3DField, fields_of, meant_attribute, python_name, version_defaults
 from .x3d_groups import CHILD_HOLDERS, SIMPLIFIED, is_child_node, split_children
 from .x3d_source import X3DSource

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..scene import nodes
+from ..scene.indices import check_indices
 from ..scene.polygons import Faces, split_concave, split_fans
 from .normals import crease_normals, vertex_normals
 from .triangles import Triangles
@@ -18,30 +19,27 @@ def indexed_face_set(node: nodes.IndexedFaceSet, where: str) -> Triangles:
     Raises:
         ValueError: an index, or a number of indices, that does not fit; says which field of which shape (`where`).
     """
+    check_indices(node, where)
     if node.coord is None:
         return Triangles.none()
     points = node.coord.point
     faces = Faces.read(node.coord_index)
     vertex = node.coord_index[faces.slot]
-    _check(vertex, len(points), f"{where}.coord_index", "coord.point")
     corner_points = points[vertex]
     split = split_fans(faces) if node.convex else split_concave(faces, corner_points, f"{where}.coord_index")
 
     color = normal = None
     if node.color is not None and len(node.color.color):
-        index = _attribute_index(node, faces, "color_index", node.color_per_vertex, where)
-        _check(index, len(node.color.color), f"{where}.color_index", "color.color")
+        index = _attribute_index(node, faces, "color_index", node.color_per_vertex)
         color = node.color.color[index]
     if node.normal is not None and len(node.normal.vector):
-        index = _attribute_index(node, faces, "normal_index", node.normal_per_vertex, where)
-        _check(index, len(node.normal.vector), f"{where}.normal_index", "normal.vector")
+        index = _attribute_index(node, faces, "normal_index", node.normal_per_vertex)
         normal = node.normal.vector[index]
     else:
         crease = node.crease_angle if node.normal_per_vertex else 0.0
         normal = crease_normals(faces, vertex, corner_points, crease) * (1.0 if node.ccw else -1.0)
     if node.tex_coord is not None and len(node.tex_coord.point):
-        index = _attribute_index(node, faces, "tex_coord_index", True, where)
-        _check(index, len(node.tex_coord.point), f"{where}.tex_coord_index", "tex_coord.point")
+        index = _attribute_index(node, faces, "tex_coord_index", True)
         texcoord = node.tex_coord.point[index]
     else:
         texcoord = bounding_box_mapping(corner_points)
@@ -57,28 +55,22 @@ def triangle_set(node: nodes.IndexedTriangleSet | nodes.TriangleSet, where: str)
     Raises:
         ValueError: an index that does not fit, or too few colours, normals or texture coordinates.
     """
+    check_indices(node, where)
     if node.coord is None:
         return Triangles.none()
     points = node.coord.point
     if isinstance(node, nodes.IndexedTriangleSet):
-        field = f"{where}.index"
-        if np.any(node.index < 0):
-            raise ValueError(f"{field}: expected indices >= 0 (triangles need no -1 between them), got -1")
         vertex = node.index[: len(node.index) // 3 * 3]
     else:
-        field = f"{where}.coord.point"
         vertex = np.arange(len(points) // 3 * 3)
-    _check(vertex, len(points), field, "coord.point")
     faces = Faces.triangles(len(vertex) // 3)
     corner_points = points[vertex]
 
     color = None
     if node.color is not None and len(node.color.color):
-        _check(vertex, len(node.color.color), field, "color.color")
         color = node.color.color[vertex]
     if node.normal is not None and len(node.normal.vector):
         index = vertex if node.normal_per_vertex else faces.face
-        _check(index, len(node.normal.vector), field, "normal.vector")
         normal = node.normal.vector[index]
     else:
         smooth = node.normal_per_vertex and isinstance(node, nodes.IndexedTriangleSet)
@@ -86,7 +78,6 @@ def triangle_set(node: nodes.IndexedTriangleSet | nodes.TriangleSet, where: str)
         normal = vertex_normals(faces, vertex, corner_points) if smooth else flat
         normal = normal * (1.0 if node.ccw else -1.0)
     if node.tex_coord is not None and len(node.tex_coord.point):
-        _check(vertex, len(node.tex_coord.point), field, "tex_coord.point")
         texcoord = node.tex_coord.point[vertex]
     else:
         texcoord = bounding_box_mapping(corner_points)
@@ -104,31 +95,12 @@ def bounding_box_mapping(points: np.ndarray) -> np.ndarray:
     return (points[:, [s, t]] - low[[s, t]]) / (size[s] or 1.0)
 
 
-def _attribute_index(node: nodes.IndexedFaceSet, faces: Faces, field: str, per_vertex: bool, where: str) -> np.ndarray:
+def _attribute_index(node: nodes.IndexedFaceSet, faces: Faces, field: str, per_vertex: bool) -> np.ndarray:
     """[C], which colour, normal or texture coordinate each corner takes (X3D 13.3.6)."""
     index = getattr(node, field)
     if per_vertex:
-        if len(index) == 0:
-            return node.coord_index[faces.slot]
-        if faces.slot.size and len(index) <= faces.slot[-1]:
-            raise ValueError(f"{where}.{field}: expected an index for every one in coord_index, got {len(index)}")
-        per_corner = index[faces.slot]
-        if np.any(per_corner < 0):
-            raise ValueError(f"{where}.{field}: -1 must stand where coord_index has it; it stands elsewhere too")
-        return per_corner
-    if len(index) == 0:
-        return faces.face
-    if len(index) < len(faces.count):
-        raise ValueError(f"{where}.{field}: expected an index for each of {len(faces.count)} faces, got {len(index)}")
-    return index[faces.face]
-
-
-def _check(index: np.ndarray, size: int, field: str, of: str) -> None:
-    """Raise ValueError unless every index is in [0, size)."""
-    bad = np.flatnonzero((index < 0) | (index >= size))
-    if len(bad):
-        have = f"{of} has {size} values" if size else f"{of} is empty"
-        raise ValueError(f"{field}: index {index[bad[0]]} does not exist, {have}")
+        return (index if len(index) else node.coord_index)[faces.slot]
+    return index[faces.face] if len(index) else faces.face
 
 
 def _triangles(

@@ -4,42 +4,44 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import nodes
+from . import nodes
 
 
-def check_indices(geometry: nodes.Node) -> None:
+def check_indices(geometry: nodes.Node, where: str = "") -> None:
     """Check a geometry node; nodes of other kinds pass, and so do those without coordinates, which draw nothing.
 
     Raises:
-        ValueError: an index beyond the end of its list, or a list that is too short; says which field and numbers.
+        ValueError: an index beyond the end of its list, or a list that is too short; says which field of the geometry
+            (`where`; empty: its label) and numbers.
     """
     if getattr(geometry, "coord", None) is None:
         return
+    where = where or geometry.label
     if isinstance(geometry, nodes.IndexedFaceSet):
-        _check_face_set(geometry)
+        _check_face_set(geometry, where)
     elif isinstance(geometry, nodes.IndexedTriangleSet):
         if np.any(geometry.index < 0):
-            raise ValueError(f"{geometry.label}.index: expected indices >= 0, got {geometry.index.min()}")
-        _check_triangles(geometry, geometry.index, len(geometry.index) // 3)
+            raise ValueError(f"{where}.index: expected indices >= 0, got {geometry.index.min()}")
+        _check_triangles(geometry, where, geometry.index, len(geometry.index) // 3)
     elif isinstance(geometry, nodes.TriangleSet):
         corners = 0 if geometry.coord is None else len(geometry.coord.point)
-        _check_triangles(geometry, np.arange(corners), corners // 3)
+        _check_triangles(geometry, where, np.arange(corners), corners // 3)
 
 
 def _check_triangles(
-    geometry: nodes.IndexedTriangleSet | nodes.TriangleSet, corners: np.ndarray, triangles: int
+    geometry: nodes.IndexedTriangleSet | nodes.TriangleSet, where: str, corners: np.ndarray, triangles: int
 ) -> None:
     """Vertex data is taken by the same index as the coordinates; normals may be one a triangle."""
     for name, values, per_vertex in _lists(geometry):
         if name == "coord":
-            _check_within(geometry, "index", corners, len(values), name)
+            _check_within(where, "index", corners, len(values), name)
         elif per_vertex:
-            _check_within(geometry, "the vertices' index", corners, len(values), name)
+            _check_within(where, "the vertices' index", corners, len(values), name)
         else:
-            _check_enough(geometry, triangles, "triangles", len(values), name)
+            _check_enough(where, triangles, "triangles", len(values), name)
 
 
-def _check_face_set(geometry: nodes.IndexedFaceSet) -> None:
+def _check_face_set(geometry: nodes.IndexedFaceSet, where: str) -> None:
     """Each list of vertex data has an index of its own; without one the coordinates' is used, or one a face."""
     corners = geometry.coord_index
     ends = corners == -1
@@ -47,21 +49,21 @@ def _check_face_set(geometry: nodes.IndexedFaceSet) -> None:
     faces = int(np.count_nonzero(ends)) + open_end
     for name, values, per_vertex in _lists(geometry):
         if name == "coord":
-            _check_within(geometry, "coord_index", corners, len(values), name)
+            _check_within(where, "coord_index", corners, len(values), name)
             continue
         field = f"{name}_index"
         index = getattr(geometry, field)
         if per_vertex:
             own = len(index) > 0
-            _check_within(geometry, field if own else "coord_index", index if own else corners, len(values), name)
+            _check_within(where, field if own else "coord_index", index if own else corners, len(values), name)
             if own and not _same_faces(corners, index):
-                raise ValueError(f"{geometry.label}.{field}: expected -1 in the same places as in coord_index")
+                raise ValueError(f"{where}.{field}: expected -1 in the same places as in coord_index")
         elif len(index) > 0:
             if len(index) < faces or np.any(index[:faces] < 0):
-                raise ValueError(f"{geometry.label}.{field}: expected one index >= 0 for each of {faces} faces")
-            _check_within(geometry, field, index, len(values), name)
+                raise ValueError(f"{where}.{field}: expected an index >= 0 for each of {faces} faces, got {len(index)}")
+            _check_within(where, field, index, len(values), name)
         else:
-            _check_enough(geometry, faces, "faces", len(values), name)
+            _check_enough(where, faces, "faces", len(values), name)
 
 
 def _same_faces(corners: np.ndarray, index: np.ndarray) -> bool:
@@ -89,11 +91,11 @@ def _lists(geometry: nodes.Node) -> list[tuple[str, np.ndarray, bool]]:
     return found
 
 
-def _check_within(geometry: nodes.Node, field: str, index: np.ndarray, length: int, name: str) -> None:
+def _check_within(where: str, field: str, index: np.ndarray, length: int, name: str) -> None:
     if len(index) and index.max() >= length:
-        raise ValueError(f"{geometry.label}.{field}: index {index.max()}, but {name} has {length} entries")
+        raise ValueError(f"{where}.{field}: index {index.max()}, but {name} has {length} entries")
 
 
-def _check_enough(geometry: nodes.Node, needed: int, what: str, length: int, name: str) -> None:
+def _check_enough(where: str, needed: int, what: str, length: int, name: str) -> None:
     if length < needed:
-        raise ValueError(f"{geometry.label}.{name}: {length} entries for {needed} {what}")
+        raise ValueError(f"{where}.{name}: {length} entries for {needed} {what}")
