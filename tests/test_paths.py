@@ -60,7 +60,7 @@ CASES = {
     "PointLight[key*].intensity": {"PointLight.intensity": [(0,), (1,)]},
     "PointLight[*].attenuation[2]": {"PointLight.attenuation": [(0, 2), (1, 2), (2, 2), (3, 2)]},
     "PointLight[3].intensity": {"PointLight.intensity": [(3,)]},
-    "SpotLight[7].cutOffAngle": {"SpotLight.cut_off_angle": [(0,)]},
+    "SpotLight[0].cutOffAngle": {"SpotLight.cut_off_angle": [(0,)]},
     "SpotLight[0].location.z": {"SpotLight.location": [(0, 2)]},
     "DirectionalLight.direction.x": {"DirectionalLight.direction": [(0, 0)]},
     "Fog.visibilityRange": {"Fog.visibility_range": [()]},
@@ -140,7 +140,7 @@ def test_ranges_are_the_specifications(scene: Scene) -> None:
 def test_light_rows(scene: Scene) -> None:
     one, several = (paths.light_rows(scene, lights) for lights in ("PointLight[key*]", ["PointLight[key*]"]))
     assert all(one[kind].tolist() == several[kind].tolist() for kind in paths.LIGHT_KINDS)
-    rows = paths.light_rows(scene, ["PointLight[key*]", "SpotLight[7]"])
+    rows = paths.light_rows(scene, ["PointLight[key*]", "SpotLight[0]"])
     assert {kind: found.tolist() for kind, found in rows.items()} == {
         "DirectionalLight": [],
         "PointLight": [0, 1],
@@ -170,6 +170,17 @@ def test_light_names_may_have_dots(path: str, rows: list[int]) -> None:
     for wrong in ("PointLight[Lamp.001].intensity", "PointLight.color"):
         with pytest.raises(ValueError, match="expected a light such as"):
             paths.light_rows(scene, [wrong])
+
+
+def test_digits_are_a_row_even_where_a_node_is_called_so() -> None:
+    """Lists and labels tell such nodes by their rows, and mean the same by them as a path does."""
+    named = [nodes.Material(name=name, shininess=0.1 * row) for row, name in enumerate(("1", "0", "", "7"), 1)]
+    scene = Scene.from_nodes([nodes.Shape(appearance=nodes.Appearance(material=material)) for material in named])
+    listed = [field.path for field in paths.fields(scene) if field.path.endswith("shininess")]
+    assert listed == [f"Material[{row}].shininess" for row in range(4)]
+    assert [chosen(scene, path) for path in listed] == [{"Material.shininess": [(row,)]} for row in range(4)]
+    with pytest.raises(ValueError, match=r"no field 'Material\[7\].shininess'; the closest: Material\[3\]"):
+        paths.select(scene, "Material[7].shininess")
 
 
 def test_hundreds_of_paths_are_free_at_the_cost_of_one(monkeypatch: pytest.MonkeyPatch) -> None:

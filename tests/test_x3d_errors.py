@@ -9,6 +9,9 @@ import pytest
 
 from jaxlight import SceneFileError, load
 from jaxlight.formats import read_nodes
+from jaxlight.formats import x3d_values as values
+from jaxlight.formats.folder import ResourceFolder
+from jaxlight.formats.xml_elements import parse_xml
 from x3d_text import x3d
 
 POINTS = "<Coordinate point='0 0 0, 1 0 0, 0 1 0'/>"
@@ -146,6 +149,46 @@ def test_a_document_type_is_not_fetched(tmp_path: Path) -> None:
         '<!DOCTYPE X3D PUBLIC "ISO//Web3D//DTD X3D 3.3//EN" "http://127.0.0.1:9/x.dtd">\n<X3D><Scene/></X3D>'
     )
     assert load(path).document.shapes == ()
+
+
+@pytest.mark.parametrize(
+    ("declared", "element"),
+    [
+        ("<!ATTLIST Group description CDATA '{}'>", "<Group/>"),
+        ("<!ATTLIST Group " + " ".join(f"a{i} CDATA '0'" for i in range(1000)) + ">", "<Group/>"),
+    ],
+)
+def test_attributes_of_a_document_type_are_limited(tmp_path: Path, declared: str, element: str) -> None:
+    """A few kilobytes would hold hundreds of megabytes."""
+    path = tmp_path / "scene.x3d"
+    head = f"<!DOCTYPE X3D [{declared.format('x' * 20_000)}]>"
+    path.write_text(head + "<X3D><Scene>" + element * 10_000 + "</Scene></X3D>")
+    with pytest.raises(SceneFileError, match=":1: DOCTYPE declares attributes that are longer than the file"):
+        load(path)
+    path.write_text("<!DOCTYPE X3D [<!ATTLIST Group DEF CDATA 'g'>]><X3D><Scene><Group/></Scene></X3D>")
+    assert load(path).document.children[0].name == "g"
+
+
+def test_prefixes_are_dropped_whatever_they_stand_for(tmp_path: Path) -> None:
+    prefixed = x3d("<x3d:Shape x3d:DEF='other' DEF='own'/>").replace("<X3D ", f"<X3D xmlns:x3d='{'u' * 50_000}' ", 1)
+    path = tmp_path / "scene.x3d"
+    path.write_text(prefixed)
+    assert load(path).document.children[0].name == "own"
+    names = [element.tag for element in parse_xml(path, b"<a:X3D xmlns:a='u'><a:b/></a:X3D>").children]
+    assert names == ["b"]
+
+
+@pytest.mark.parametrize("word", ["1" * 40_000 + "x", "." + "1" * 40_000 + "x", "1e" + "1" * 40_000 + "x"])
+def test_a_long_word_is_looked_at_once(word: str) -> None:
+    """A pattern that tries every way to divide its digits would take minutes."""
+    with pytest.raises(ValueError, match="is not a number"):
+        values.parse_floats(word)
+
+
+def test_a_url_that_no_file_can_have_is_not_looked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Path, "resolve", lambda self: self)
+    folder = ResourceFolder(tmp_path / "scene.x3d")
+    assert folder.place("a/../" * 100_000 + "x.png") is None and folder.place("x.png") == tmp_path / "x.png"
 
 
 @pytest.mark.parametrize("text", ["<html/>", "<X3D/>", "<X3D><Group/></X3D>"])

@@ -115,15 +115,15 @@ def test_a_long_attribute_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fed in pieces, the parser would read it again with every piece."""
     fed = []
 
-    class Noting(xml_elements.DefusedXMLParser):
-        def feed(self, data: bytes) -> None:
+    class Noting(xml_elements.DefusedExpatParser):
+        def feed(self, data: bytes, isFinal: bool = False) -> None:  # its base class calls it so
             fed.append(len(data))
-            super().feed(data)
+            super().feed(data, isFinal)
 
-    monkeypatch.setattr(xml_elements, "DefusedXMLParser", Noting)
+    monkeypatch.setattr(xml_elements, "DefusedExpatParser", Noting)
     numbers = " ".join(["-0.123456 1.5 2"] * 300_000)
     document = f"<X3D><Scene><Shape><TriangleSet><Coordinate point='{numbers}'/></TriangleSet></Shape></Scene></X3D>"
     ((shape,), _, _) = read_x3d(Path("many.x3d"), document.encode())
-    assert fed == [len(document)]
+    assert fed == [len(document), 0]  # and that it is the end
     point = shape.geometry.coord.point
     np.testing.assert_array_equal(point, np.broadcast_to([-0.123456, 1.5, 2.0], (300_000, 3)))

@@ -7,6 +7,9 @@ import urllib.parse
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
+_LONGEST = 4096
+"""Characters of a name; no system opens longer ones."""
+
 
 class ResourceFolder:
     """The folder of a scene file, from which alone the files that it names are read."""
@@ -43,6 +46,8 @@ class ResourceFolder:
         """
         if PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor:
             raise ValueError(f"{_shown(name)} is outside the scene's folder")
+        if len(name) > _LONGEST:
+            return None
         try:
             path = (self.path / name).resolve()
         except (OSError, RuntimeError, ValueError):  # a name that no file can have, a loop of links

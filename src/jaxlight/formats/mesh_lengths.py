@@ -10,7 +10,7 @@ from .errors import SceneFileError
 
 _STL_HEADER, _STL_TRIANGLE = 84, 50
 """Bytes of a binary stl."""
-_NUMBER = rb"[ \t]+[-+]?(?:\d+\.?\d*|\.\d+|inf|nan)(?:e[-+]?\d+)?"
+_NUMBER = rb"[ \t]+[-+]?(?:\d+(?:\.\d*)?|\.\d+|inf|nan)(?:e[-+]?\d+)?"
 _STL_VERTEX = re.compile(rb"vertex" + 3 * _NUMBER + rb"[ \t\r]*\n")
 _STL_NAME = re.compile(rb"solid\b.*")
 _PLY_HEADER = re.compile(rb"\A(.*?^end_header)[ \t]*\r?\n", re.MULTILINE | re.DOTALL)

@@ -17,7 +17,7 @@ from .limits import MAX_PIXELS
 from .quantize import quantize
 
 _COMMAS_ARE_BLANKS = bytes.maketrans(b",\t\r\n", b"    ")
-_FLOAT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+_FLOAT = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _INTEGER = re.compile(r"[+-]?\d+|0[xX][0-9a-fA-F]+", re.ASCII)
 _QUOTED = re.compile(r'[\s,]*"((?:[^"\\]|\\.)*)"', re.DOTALL)
 _LONG = 512

@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import re
 from pathlib import Path
-from xml.etree.ElementTree import ParseError
-from xml.parsers import expat
+from typing import Any, NoReturn
+from xml.sax import SAXParseException
+from xml.sax.handler import ContentHandler
+from xml.sax.xmlreader import Locator
 
 from defusedxml import DefusedXmlException
-from defusedxml.ElementTree import DefusedXMLParser
+from defusedxml.expatreader import DefusedExpatParser
 
 from .errors import SceneFileError
 from .limits import MAX_ELEMENTS, MAX_NESTING
@@ -29,23 +31,31 @@ class Element:
     children: list[Element] = dataclasses.field(default_factory=list)
 
 
-class _Builder:
-    """Takes the parser's events and builds the tree."""
+class _Builder(ContentHandler):
+    """Takes the parser's events and builds the tree.
 
-    def __init__(self, path: Path) -> None:
+    Names come as they are written: with namespaces in their place a short file could hold names of any length.
+    """
+
+    def __init__(self, path: Path, size: int, place: Locator) -> None:
+        super().__init__()
         self.path = path
-        self.parser: expat.XMLParserType | None = None
+        self.place = place
         self.root: Element | None = None
         self.open: list[Element] = []
         self.count = 0
+        self.left = size
+        """Characters that start tags may still have: no more than the file, or DOCTYPE gives them what they lack."""
 
-    def start(self, tag: str, attributes: dict[str, str]) -> None:
-        line = self.parser.CurrentLineNumber if self.parser else 0
+    def startElement(self, name: str, attrs: Any) -> None:
         if self.count >= MAX_ELEMENTS:
-            raise SceneFileError(self.path, line, f"more than {MAX_ELEMENTS} elements, the most that is read")
+            self.refuse(f"more than {MAX_ELEMENTS} elements, the most that is read")
         if len(self.open) >= MAX_NESTING:
-            raise SceneFileError(self.path, line, f"elements nested deeper than {MAX_NESTING}")
-        element = Element(_local(tag), _own(attributes), line, self.count)
+            self.refuse(f"elements nested deeper than {MAX_NESTING}")
+        self.left -= len(name) + sum(map(len, attrs.keys())) + sum(map(len, attrs.values()))
+        if self.left < 0:
+            self.refuse("DOCTYPE declares attributes that are longer than the file")
+        element = Element(_local(name), _own(attrs), self.place.getLineNumber() or 0, self.count)
         self.count += 1
         if self.open:
             self.open[-1].children.append(element)
@@ -53,21 +63,24 @@ class _Builder:
             self.root = element
         self.open.append(element)
 
-    def end(self, tag: str) -> None:
+    def endElement(self, name: str) -> None:
         self.open.pop()
 
-    def close(self) -> None:
-        """The parser asks for it at the end."""
+    def skippedEntity(self, name: str) -> None:
+        self.refuse(f"malformed XML: undefined entity &{name};")
+
+    def refuse(self, why: str) -> NoReturn:
+        raise SceneFileError(self.path, self.place.getLineNumber(), why)
 
 
-def _own(attributes: dict[str, str]) -> dict[str, str]:
-    """Without those of other namespaces: an attribute of X3D's own has no prefix."""
-    return {name: value for name, value in attributes.items() if not name.startswith("{")}
+def _own(attributes: Any) -> dict[str, str]:
+    """Without namespaces and what is of them: an attribute of X3D's own has no prefix."""
+    return {name: value for name, value in attributes.items() if ":" not in name and name != "xmlns"}
 
 
 def _local(name: str) -> str:
-    """A name without its namespace (`{uri}Shape` -> `Shape`)."""
-    return name.rpartition("}")[2]
+    """A name without its namespace (`x3d:Shape` -> `Shape`)."""
+    return name.rpartition(":")[2]
 
 
 def xml_text(text: str) -> str:
@@ -85,20 +98,18 @@ def parse_xml(path: Path, data: bytes) -> Element:
     """
     if data.startswith((b"<\0", b"\0<")):
         raise SceneFileError(path, 1, "UTF-16 without a byte order mark")
-    builder = _Builder(path)
-    parser = DefusedXMLParser(target=builder)
-    builder.parser = parser.parser
+    parser = DefusedExpatParser(forbid_external=False)  # a document type is named in many files; it is never fetched
+    builder = _Builder(path, len(data), parser)
+    parser.setContentHandler(builder)
     try:
         parser.feed(data)
         parser.close()
     except SceneFileError:
         raise
-    except ParseError as error:
-        line = error.position[0]
-        raise SceneFileError(path, line, f"malformed XML: {str(error).partition(': line')[0]}") from None
+    except SAXParseException as error:
+        raise SceneFileError(path, error.getLineNumber(), f"malformed XML: {error.getMessage()}") from None
     except DefusedXmlException as error:
-        line = parser.parser.CurrentLineNumber
-        raise SceneFileError(path, line, f"entities are not read: {type(error).__name__}") from None
+        raise SceneFileError(path, parser.getLineNumber(), f"entities are not read: {type(error).__name__}") from None
     except (LookupError, ValueError) as error:  # an encoding that Python does not know, or a multi-byte one
         raise SceneFileError(path, 1, f"malformed XML: {error}") from None
     if builder.root is None:

@@ -1,7 +1,7 @@
 """Field paths: how people and files name the numbers of a scene, and which elements of which leaf they mean.
 
 Material[body].diffuse_color     the row with the DEF name `body`
-PointLight[0].location           the row number 0
+PointLight[0].location           the row number 0: digits always are one
 PointLight[*].intensity          every row; any shell pattern works on names
 Material[body].diffuse*          every field that matches: * and ?
 Material[body].diffuse_color.r   one component (r g b, x y z or a number)
@@ -263,6 +263,8 @@ def _matching_rows(scene: Scene, path: str, kind: str, row: str | None) -> list[
                 f"or one of {', '.join(_row_labels(kind, owner)[:8])}"
             )
         return list(range(len(names)))
+    if row.isdecimal():  # also where a node is called so: labels have the row of it
+        return [int(row)] if int(row) < len(names) else []
     if row in names:
         matching = [i for i, name in enumerate(names) if name == row]
         first = first_rows(scene, kind)
@@ -271,8 +273,6 @@ def _matching_rows(scene: Scene, path: str, kind: str, row: str | None) -> list[
             rows = ", ".join(f"{kind}[{i}]" for i in matching)
             raise ValueError(f"{path!r}: {len(different)} nodes have this name; write the row number: {rows}")
         return matching
-    if row.isdecimal():
-        return [int(row)] if int(row) < len(names) else []
     return [i for i, name in enumerate(names) if fnmatch.fnmatchcase(name, row)] if row != "*" else [*range(len(names))]
 
 
