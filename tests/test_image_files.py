@@ -187,6 +187,18 @@ def test_the_transparent_grey_of_a_png_of_few_bits_has_alpha_0(
         np.testing.assert_allclose(read_image(tmp_path / "a.png")[0], expected, atol=1e-15)
 
 
+@pytest.mark.parametrize("kind", ["uint8", "uint16"])
+def test_colours_of_a_tiff_are_not_multiplied_by_its_alpha(tmp_path: Path, kind: str) -> None:
+    library = pytest.importorskip("OpenImageIO")
+    color, alpha = np.array([[[0.6, 0.4, 1.0]] * 3]), np.array([[[1.0], [0.5], [0.0]]])
+    file = library.ImageOutput.create(str(tmp_path / "a.tif"))
+    assert file.open(str(tmp_path / "a.tif"), library.ImageSpec(3, 1, 4, kind))
+    assert file.write_image(np.concatenate([alpha * color, alpha], axis=2).astype(np.float32))
+    file.close()
+    expected = np.concatenate([np.where(alpha > 0, color, 0), alpha], axis=2)
+    np.testing.assert_allclose(read_image(tmp_path / "a.tif"), expected, atol=1 / 128)
+
+
 @pytest.mark.parametrize("components", [3, 4])
 def test_a_tiff_of_16_bits_keeps_them(tmp_path: Path, components: int) -> None:
     library = pytest.importorskip("OpenImageIO")

@@ -331,6 +331,28 @@ def test_a_view_says_what_the_library_is_given(folder: Path) -> None:
     np.testing.assert_allclose(np.asarray(side.samples.position)[:, 0], 0, atol=1e-6)  # the plane that depth says
 
 
+def test_what_a_picture_cannot_show_is_left_out(folder: Path) -> None:
+    """Numbers that end at 1 may have been larger; colours of an EXR are multiplied by alpha, those of a PNG are not."""
+    import jaxlight as jl
+
+    pytest.importorskip("OpenImageIO")
+    rgba = np.full((SIZE, SIZE, 4), 0.5, np.float32)
+    rgba[:, : SIZE // 2, 3] = 1
+    rgba[0, :, 3] = 0
+    for name in ("alpha.png", "alpha.exr"):
+        jl.write_image(folder / name, rgba)
+    for name, brightest in (("dim.tif", 1.0), ("bright.tif", 1.5)):
+        Image.fromarray(np.full((SIZE, SIZE), brightest, np.float32)).save(folder / name)
+    names = ("alpha.png", "alpha.exr", "dim.tif", "bright.tif")
+    path = folder / "problem.toml"
+    path.write_text(GOOD.partition("[[views]]")[0] + "".join(f'[[views]]\npicture = "{name}"\n' for name in names))
+    file = ProblemFile(path)
+    png, exr, dim, bright = make_views(file.problem, file, jl.load(file.problem.scene))
+    np.testing.assert_array_equal(png.mask, rgba[..., 3] > 0)
+    np.testing.assert_array_equal(exr.mask, rgba[..., 3] == 1)
+    assert (png.saturated, exr.saturated, dim.saturated, bright.saturated) == (1.0, None, 1.0, None)
+
+
 def test_a_picture_of_a_background_is_decoded_like_the_views(folder: Path) -> None:
     """Numbers are linear light as they stand."""
     import jaxlight as jl

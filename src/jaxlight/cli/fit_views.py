@@ -10,7 +10,12 @@ from .cameras import camera_of
 from .problem import FitProblem, MapsProblem, Source, ViewProblem, blamed_on
 
 if TYPE_CHECKING:
+    import numpy as np
+
     import jaxlight
+
+_WHOLE = 0.999
+"""Alpha from here on is 1, for filters round."""
 
 
 def make_views(problem: FitProblem, source: Source, scene: jaxlight.Scene) -> list[jaxlight.View]:
@@ -37,7 +42,7 @@ def _make_view(
     from jaxlight.formats.levels import is_chosen
 
     with blamed_on(source, "views", row, "picture"):
-        target = read_image(view.picture)
+        target, opaque = _colors_and_opaque(view.picture)
     height, width = target.shape[:2]
 
     def beside(field: str, *, grey: bool) -> Any:
@@ -59,9 +64,8 @@ def _make_view(
         background = decode(background, view.decode)
     mask = beside("mask", grey=True)
     mask = None if mask is None else is_chosen(mask)
-    if target.shape[2] in (2, 4):
-        opaque = target[..., -1] > 0
-        target, mask = target[..., :-1], opaque if mask is None else mask & opaque
+    if opaque is not None:
+        mask = opaque if mask is None else mask & opaque
     where = (view.viewpoint, view.camera, view.maps, view.samples, width, height)
     if where not in known:
         try:
@@ -72,7 +76,7 @@ def _make_view(
                 raise source.error(("views", row, name), message) from None
             raise source.error(("views", row, *_geometry_key(view)), str(error)) from None
     # Integer formats end at 1; what lies there may have been brighter.
-    ends_at_one = view.picture.suffix.lower() != ".exr"
+    ends_at_one = not (_is_exr(view.picture) or (target > 1).any())
     return View(
         known[where],
         decode(target, view.decode),
@@ -86,6 +90,21 @@ def _make_view(
         background=background,
         name=name,
     )
+
+
+def _colors_and_opaque(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """The colours of a picture, and which of its pixels show something; None: all."""
+    from jaxlight import read_image
+
+    image = read_image(path)
+    if image.shape[2] not in (1, 3):
+        # The colours of an EXR are multiplied by alpha: where that is no 1 they are no colours that were seen.
+        return image[..., :-1], image[..., -1] > (_WHOLE if _is_exr(path) else 0)
+    return image, None
+
+
+def _is_exr(path: Path) -> bool:
+    return path.suffix.lower() == ".exr"
 
 
 def _geometry_key(view: ViewProblem) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image, ImageOps
-from PIL.TiffImagePlugin import BITSPERSAMPLE, PHOTOMETRIC_INTERPRETATION, TiffImageFile
+from PIL.TiffImagePlugin import BITSPERSAMPLE, EXTRASAMPLES, PHOTOMETRIC_INTERPRETATION, TiffImageFile
 
 from ..tracing import refuse_traced
 from .errors import SceneFileError
@@ -72,7 +72,8 @@ def decode_image(data: bytes, path: Path) -> np.ndarray:
         try:
             with Image.open(io.BytesIO(data), formats=_PILLOW_FORMATS) as image:
                 if isinstance(image, TiffImageFile) and image.mode in _CUT_MODES and _bits(image) > 8:
-                    return _read_with_openimageio(data, path, f"{_bits(image)}-bit colour TIFF", ".tif")
+                    pixels = _read_with_openimageio(data, path, f"{_bits(image)}-bit colour TIFF", ".tif")
+                    return _divided_by_alpha(pixels) if _is_multiplied_by_alpha(image) else pixels
                 if data.startswith(_PNG) and image.mode == "L" and isinstance(image.info.get("transparency"), int):
                     # Of 2 or 4 bits Pillow scales the pixels to 8, but not the level that is transparent.
                     image.info["transparency"] *= 255 // (2 ** min(data[24], 8) - 1)
@@ -114,6 +115,18 @@ def pixels_of(image: Image.Image, path: Path) -> np.ndarray:
 def _bits(image: TiffImageFile) -> int:
     """The most bits that a component has."""
     return max(image.tag_v2.get(BITSPERSAMPLE, (1,)))
+
+
+def _is_multiplied_by_alpha(image: TiffImageFile) -> bool:
+    """Whether alpha is "associated" (TIFF 6.0, ExtraSamples)."""
+    return tuple(image.tag_v2.get(EXTRASAMPLES, ())) == (1,)
+
+
+def _divided_by_alpha(pixels: np.ndarray) -> np.ndarray:
+    """What Pillow does with 8 bits: colours as they are where all is covered; 0 where nothing is."""
+    color, alpha = pixels[..., :-1], pixels[..., -1:]
+    color[...] = np.minimum(np.divide(color, alpha, out=np.zeros_like(color), where=alpha > 0), 1.0)
+    return pixels
 
 
 def _plain_mode(image: Image.Image) -> str:
