@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -19,7 +20,7 @@ from fit_scenes import (
     sphere_samples,
     sphere_scene,
 )
-from jaxlight import Free, SampleBuffer, Scene, View, fit, nodes, shade
+from jaxlight import Free, SampleBuffer, Scene, View, fit, nodes, shade, write_report
 from jaxlight.fit.problem import Problem, make_problem
 from jaxlight.fit.run import make_solver, solve
 from jaxlight.fit.uncertainty import Uncertainty, uncertainty
@@ -357,6 +358,46 @@ def test_as_many_numbers_as_residuals_leave_no_error_to_be_stated() -> None:
     assert "the errors are not known: 3 residuals leave nothing" in str(found)
 
 
+def test_what_exceeds_the_stated_noise_is_said() -> None:
+    with precision("float64") as dtype:
+        samples, picture = sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, noise=0.02)
+        said = [
+            at_start(sphere_scene(dtype=dtype), View(samples, picture, noise=noise), [DIFFUSE]).messages()
+            for noise in (0.02, 0.01)
+        ]
+    assert said[0] == []
+    assert len(said[1]) == 1 and said[1][0].startswith(("what is left is 1.9", "what is left is 2"))
+
+
+@pytest.mark.parametrize(("loss", "scale", "known"), [("cauchy", 2e-3, False), ("huber", 0.02, True)])
+def test_a_robust_loss_that_hears_hardly_a_residual_knows_no_error(loss: Any, scale: float, known: bool) -> None:
+    with precision("float64") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, noise=0.02))
+        problem, description = make_problem(sphere_scene(dtype=dtype), view, DIFFUSE, loss=loss, loss_scale=scale)
+        found = uncertainty(problem, description, problem.parameters.start)
+    assert np.isfinite(found.standard_error).tolist() == [known] * 3
+    assert any("lie within the scale of the loss" in line for line in found.messages()) == (not known)
+
+
+def test_residuals_that_a_fit_draws_to_0_tell_nothing_of_its_errors(tmp_path: Path) -> None:
+    """Of a scale far below the noise they are all that lies within it."""
+    with precision("float64") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, noise=0.02))
+        found = fit(sphere_scene(dtype=dtype), view, DIFFUSE, loss="huber", loss_scale=1e-7)
+        write_report(tmp_path / "report.html", found, view)
+    assert np.all(np.isinf(found.uncertainty.standard_error))
+    report = (tmp_path / "report.html").read_text()
+    assert report.count("error not known") == 3 and "not determined" not in report
+
+
+def test_a_coordinate_near_0_is_seen_as_well_as_the_others() -> None:
+    with precision("float64") as dtype:
+        scene = sphere_scene(key_light(location=(2.0, 1e-4, 4.0)), dtype=dtype)
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, noise=0.003))
+        found = at_start(scene, view, ["PointLight[key].location"])
+    assert np.all(found.standard_error > 1e-4) and found.hardly_seen == ()
+
+
 def test_limits_of_the_sensor_that_are_kept_tell_nothing_of_the_noise() -> None:
     with precision("float64") as dtype:
         picture = sphere_picture(SIZE, noise=0.02)
@@ -394,14 +435,21 @@ def test_texels_that_nothing_shows_take_no_part(texels: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("loss", "outliers"), [("huber", 0.0), ("huber", 0.1), pytest.param("cauchy", 0.0, marks=pytest.mark.thorough)]
+    ("loss", "outliers", "scale"),
+    [
+        ("huber", 0.0, 1.0),
+        ("huber", 0.1, 1.0),
+        pytest.param("huber", 0.0, 0.1, marks=pytest.mark.thorough),
+        pytest.param("cauchy", 0.0, 1.0, marks=pytest.mark.thorough),
+    ],
 )
-def test_errors_of_robust_losses_are_those_that_are_made(loss: Any, outliers: float) -> None:
+def test_errors_of_robust_losses_are_those_that_are_made(loss: Any, outliers: float, scale: float) -> None:
+    """`scale`: of the loss, in standard deviations of the noise."""
     free, fits, noise, size = [DIFFUSE, "Material[body].shininess"], 400, 0.02, 16
     random = np.random.default_rng(5)
     with precision("float64") as dtype:
         view = View(sphere_samples(size, dtype=dtype), sphere_picture(size))
-        problem, description = make_problem(sphere_scene(dtype=dtype), view, free, loss=loss, loss_scale=noise)
+        problem, description = make_problem(sphere_scene(dtype=dtype), view, free, loss=loss, loss_scale=scale * noise)
         (stack,) = problem.views
         clean = np.asarray(stack.target)[0]
         errors = noise * random.normal(size=(fits, *clean.shape))
@@ -410,7 +458,7 @@ def test_errors_of_robust_losses_are_those_that_are_made(loss: Any, outliers: fl
         values = np.asarray(fit_all(problem, targets).value)
         # The same loss where the noise is stated: residuals and their scale are in units of it.
         view = View(view.samples, view.target, noise=noise)
-        of_noise = make_problem(sphere_scene(dtype=dtype), view, free, loss=loss, loss_scale=1)
+        of_noise = make_problem(sphere_scene(dtype=dtype), view, free, loss=loss, loss_scale=scale)
         for own, described in ((problem, description), of_noise):
             stated = []
             for target, found in zip(targets[:10], values, strict=False):

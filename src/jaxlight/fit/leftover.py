@@ -28,6 +28,8 @@ class Leftover(NamedTuple):
     """Of psi / r."""
     slopes: Any
     """Of dpsi / dr."""
+    squared_slopes: Any
+    """Of (dpsi / dr)^2."""
 
 
 @quick_jit
@@ -41,7 +43,8 @@ def leftover(problem: Problem, values: Float[Array, " parameters"]) -> Leftover:
         said = (view.root_weight > 0) & ~(beyond & (residual == 0))
         weight = reweight(*problem.rho, residual)
         heard = jnp.ones_like(residual) if weight is None else weight
-        each = (jnp.ones_like(residual), (heard * residual) ** 2, heard, _slopes(*problem.rho, residual))
+        slopes = _slopes(*problem.rho, residual)
+        each = (jnp.ones_like(residual), (heard * residual) ** 2, heard, slopes, slopes**2)
         return Leftover(*(jnp.sum(jnp.where(said, numbers, 0)) for numbers in each))
 
     stacks = [jax.tree.map(jnp.sum, jax.lax.map(of_view, stack)) for stack in problem.views]

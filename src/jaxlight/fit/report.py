@@ -220,7 +220,8 @@ def _numbers_table(result: Fit) -> str:
     rows = []
     for i, label in enumerate(result.labels[:MAX_ROWS]):
         error = known.standard_error[i]
-        note = f"at its {bounds[label]} bound" if label in bounds else "" if np.isfinite(error) else "not determined"
+        unknown = "not determined" if np.isfinite(known.noise) else "error not known"
+        note = f"at its {bounds[label]} bound" if label in bounds else "" if np.isfinite(error) else unknown
         rows.append(
             f"<tr><td>{html.escape(label)}</td><td>{start[i]:.6g}</td><td>{float(result.values[i]):.6g}</td>"
             f"<td>{f'{error:.2g}' if np.isfinite(error) else '-'}</td>"

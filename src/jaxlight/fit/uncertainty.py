@@ -24,6 +24,11 @@ from .leftover import Leftover, leftover
 from .problem import Description, Problem
 from .widened import widened
 
+ENOUGH = 10
+"""Residuals within a robust loss's scale, or as many that tell as much, from which on its errors are stated."""
+NOISIER, SURELY = 1.1, 5.0
+"""What is left of pictures is more than their stated noise: by this factor, and by so many standard deviations."""
+
 
 class Correlation(NamedTuple):
     """Two numbers whose errors are nearly the same error."""
@@ -161,10 +166,9 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
     rank = int(np.count_nonzero(~held & ~seen.unseen)) - len(seen.null)
     inverse = pseudo_inverse(curvature, seen.scale, ~held & ~seen.unseen, len(seen.null))
     fitted = rank - float(np.diagonal(inverse) @ reduced.precision) + float(reduced.texels)
-    noise, variance = (1.0, 1.0) if left is None else _noise(left, fitted)
-    if description.noise_known:
-        noise, variance = 1.0, variance if np.isfinite(variance) else 1.0
-    is_known = np.isfinite(noise)
+    unknown = "" if left is None else _why_unknown(description, left, fitted)
+    noise, variance = (np.inf, np.inf) if unknown else _noise(description, left, fitted)
+    is_known = not unknown
     covariance = inverse
     if is_known:
         # Of what the pictures say, and of what priors do: written as a difference it would round to 0 where noise is.
@@ -173,7 +177,8 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
     traded = np.max(np.abs(seen.null), axis=0, initial=0) > 1e-4
     error = np.where(seen.unseen | traded, np.inf, np.sqrt(np.maximum(np.diagonal(covariance), 0)))
     error = np.where(held, 0, error if is_known else np.inf)
-    span = np.where(np.isfinite(upper - lower), upper - lower, np.abs(found))
+    size = np.where(np.isinf(lower) & np.isinf(upper), np.maximum(reduced.sizes, np.abs(found)), np.abs(found))
+    span = np.where(np.isfinite(upper - lower), upper - lower, size)
     hardly = np.isfinite(error) & (error > 0) & (error >= span / 2)
     partners = [
         Partner(block.path, reduced.answers[start : start + block.size], texels[start : start + block.size])
@@ -192,7 +197,7 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
         ambiguities=tuple(ambiguities(seen, found, labels, description.fields, partners)),
         hardly_seen=tuple((labels[i], float(error[i])) for i in np.flatnonzero(hardly).tolist()),
         correlations=tuple(_correlations(covariance, labels, traded)),
-        remarks=tuple(_remarks(problem, description, left, fitted)),
+        remarks=(*filter(None, [unknown]), *_remarks(problem, description, float(reduced.loss), fitted)),
         unseen_texels=tuple(_unseen_texels(problem, reduced.rows)),
     )
 
@@ -200,6 +205,7 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
 class _Reduced(NamedTuple):
     """What the pictures say of the labelled numbers, texels eliminated."""
 
+    loss: Any
     noise: Any
     """Standard deviation of a residual: 1 if it is stated, else from all that is left; at least what is rounded."""
     gradient: Any
@@ -218,30 +224,54 @@ class _Reduced(NamedTuple):
     """How many texels the pictures determine: of one that a prior holds as well, the pictures' share of it."""
 
 
-def _noise(left: Leftover, fitted: float) -> tuple[float, float]:
+def _noise(description: Description, left: Leftover | None, fitted: float) -> tuple[float, float]:
     """The standard deviation of a residual, and the factor of the inverse curvature that it means (see `Leftover`).
 
     Of a robust loss that is the M-estimator's sum(psi^2) / sum(dpsi/dr)^2, times the weights that are in the curvature.
     """
-    freedom = left.count - fitted
-    if freedom < 0.5 or left.slopes <= 0:
-        return np.inf, np.inf
-    noise = float(np.sqrt(left.squares / freedom)) * left.count / left.slopes
-    return noise, noise**2 * left.heard / left.count
+    if left is None or left.count - fitted < 0.5:
+        return 1.0, 1.0
+    noise = float(np.sqrt(left.squares / (left.count - fitted))) * left.count / _slopes(left, fitted)
+    return 1.0 if description.noise_known else noise, noise**2 * left.heard / left.count
 
 
-def _remarks(problem: Problem, description: Description, left: Leftover | None, fitted: float) -> list[str]:
-    if description.noise_known:
-        weighted = "a point of weight w is taken for one whose noise is noise / sqrt(w): weights change the errors"
-        return [weighted] if description.weighted else []
-    said = []
-    if left is not None and left.count - fitted < 0.5:
-        said.append(
+def _slopes(left: Leftover, fitted: float) -> float:
+    """The sum of dpsi/dr as it is at the truth: a fit draws residuals to where psi is steep (Huber 1981, 7.6)."""
+    spread = left.squared_slopes - left.slopes**2 / left.count
+    return left.slopes - fitted * spread / left.slopes if left.slopes > 0 else left.slopes
+
+
+def _why_unknown(description: Description, left: Leftover, fitted: float) -> str:
+    """Why residuals do not tell their noise, or a robust loss what it makes of it; empty if they do."""
+    if left.count - fitted < 0.5 and not description.noise_known:
+        return (
             f"the errors are not known: {left.count:.0f} residuals leave nothing to estimate their noise from; "
             f"state the views' `noise`"
         )
-    if problem.parameters.has_priors:
-        said.append("priors are weighed as if the noise of a picture were 1: state the views' `noise`")
+    slopes = _slopes(left, fitted)
+    if slopes <= 0 or slopes**2 < ENOUGH * left.squared_slopes:
+        return (
+            f"the errors are not known: too few of {left.count:.0f} residuals lie within the scale of the loss; "
+            f"take a larger `loss_scale`"
+        )
+    return ""
+
+
+def _remarks(problem: Problem, description: Description, loss: float, fitted: float) -> list[str]:
+    if not description.noise_known:
+        stated = "priors are weighed as if the noise of a picture were 1: state the views' `noise`"
+        return [stated] if problem.parameters.has_priors else []
+    said = []
+    if description.weighted:
+        said.append("a point of weight w is taken for one whose noise is noise / sqrt(w): weights change the errors")
+    freedom = float(problem.count) - fitted
+    if problem.loss_kind == "squares" and freedom > 0:
+        left = 2 * loss / freedom
+        if left > NOISIER**2 and left > 1 + SURELY * np.sqrt(2 / freedom):
+            said.append(
+                f"what is left is {np.sqrt(left):.3g} times the stated noise: something in the pictures is not in the "
+                f"model, and the errors do not allow for it"
+            )
     return said
 
 
@@ -259,7 +289,7 @@ def _reduced(problem: Problem, values: Any, noise_known: Any, eps: Any) -> _Redu
     rows = diagonal[count:]
     if not isinstance(curvature, ArrowCurvature):
         none = jnp.zeros((0, count))
-        return _Reduced(noise, gradient, matrix, none, lengths, precision, sizes, rows, jnp.zeros(()))
+        return _Reduced(loss, noise, gradient, matrix, none, lengths, precision, sizes, rows, jnp.zeros(()))
     # What presses a texel against its bound must be more than noise and the rounding of the values.
     size = jnp.abs(values)
     rounded = eps * (rows * size[count:] + jnp.matmul(jnp.abs(curvature.cross), size[:count]))
@@ -277,7 +307,7 @@ def _reduced(problem: Problem, values: Any, noise_known: Any, eps: Any) -> _Redu
     said = (pictures > 1e-9 * rows) & ~held
     share = pictures / jnp.where(said, pictures + precision[count:] + degree, 1)
     texels = jnp.sum(jnp.where(said, share, 0))
-    return _Reduced(noise, slope, reduced, answers, lengths, precision[:count], sizes, rows, texels)
+    return _Reduced(loss, noise, slope, reduced, answers, lengths, precision[:count], sizes, rows, texels)
 
 
 def _unseen_texels(problem: Problem, rows: np.ndarray) -> list[UnseenTexels]:
