@@ -360,6 +360,8 @@ WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "empty mask": ({"mask": np.zeros((48, 48))}, {}, "View[0]: mask, weight and coverage leave no point to fit"),
     "weight": ({"weight": -np.ones((48, 48))}, {}, "View[0].weight: every weight must be finite and >= 0"),
     "noise": ({"noise": 0.0}, {}, "View[0].noise: every standard deviation must be finite and > 0"),
+    "a noise of 0": ({"noise": 1.0 - (np.arange(1804) == 7)}, {}, "View[0].noise: every standard deviation must be finite and > 0; 1 of used points are not (first: row"),
+    "a sure prior": ({}, {"free": Free("Material[body].shininess", deviation=1e-30)}, "free: a prior's deviation is too small: 1 / deviation^2 is more than float32 holds"),
     "noise of words": ({"noise": "a"}, {}, "View[0].noise: expected numbers, got 'a'"),
     "background of words": ({"background": "white"}, {}, "View[0].background: expected numbers, got 'white'"),
     "NaN background": ({"background": (np.nan, 0, 0)}, {}, "View[0].background: every number must be finite"),
@@ -429,6 +431,17 @@ def test_bad_input_is_refused_with_a_sentence(case: str) -> None:
     options = {"free": FREE, **options}
     with precision("float32") as dtype, pytest.raises(ValueError, match=re.escape(message)):
         fit(start(dtype), view_of(**changes), **options)
+
+
+def test_the_noise_of_points_that_are_left_out_may_be_anything() -> None:
+    """Repeated shots of a clipped pixel do not scatter at all."""
+    with precision("float32") as dtype:
+        noise, left_out = np.full(1804, 0.1), np.arange(1804) % 3 == 0
+        noise[left_out] = np.tile([0.0, np.nan, -1.0, np.inf], 1804)[: np.count_nonzero(left_out)]
+        expected = view_data(start(dtype), view_of(noise=0.1, mask=~left_out), 0, dtype).root_weight
+        for given in ({"mask": ~left_out}, {"weight": 1.0 * ~left_out}):
+            found = view_data(start(dtype), view_of(noise=noise, **given), 0, dtype).root_weight
+            np.testing.assert_array_equal(found, expected)
 
 
 def test_a_scene_with_a_number_that_is_none_is_refused() -> None:

@@ -96,6 +96,19 @@ def test_the_log_of_a_fit_that_breaks_says_so(tmp_path: Path) -> None:
     assert events(tmp_path)[-1]["outcome"] == "error" and "burst" in events(tmp_path)[-1]["message"]
 
 
+def test_a_fit_that_is_done_is_not_lost_with_its_last_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Fit
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device", "fit.npz")
+
+    monkeypatch.setattr(Checkpoint, "save", full)
+    with pytest.warns(CheckpointWarning, match="the last checkpoint could not be written: .*No space left"):
+        result = run(tmp_path, checkpoint_seconds=1e9)
+    assert same(result, whole)
+    assert events(tmp_path)[-1]["outcome"] == "converged"
+
+
 def test_another_minimiser_is_logged_but_has_no_checkpoints(tmp_path: Path) -> None:
     method = optx.LBFGS(1e-3, 1e-3)
     with pytest.raises(ValueError, match="checkpoint: only the bounded"):

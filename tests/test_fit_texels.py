@@ -203,6 +203,8 @@ def test_neighbour_priors_fill_what_is_not_seen_and_calm_what_is_noisy(prior: st
 WRONG: dict[str, tuple[Any, str]] = {
     "bounds": (Free(SKIN, lower=0.6), "Texture[skin].image: 432 texels start outside their bounds"),
     "size of bounds": (Free(SKIN, upper=np.ones((2, 5))), "Texture[skin].image: upper: expected one number, one a component, or an image"),
+    "endless mean": (Free(SKIN, mean=np.inf, deviation=0.1), "Texture[skin].image: mean: expected finite numbers, got inf"),
+    "smooth to the last bit": (Free(SKIN, smoothness=1e-30), "Texture[skin].image: smoothness and total_variation: too small"),
     "prior": (Free(SKIN, mean=0.3), "Texture[skin].image: a prior mean needs a deviation"),
     "smoothness": (Free(SKIN, smoothness=0.0), "Texture[skin].image: smoothness: expected a number > 0, got 0.0"),
     "smoothness in words": (Free(SKIN, smoothness="a"), "Texture[skin].image: smoothness: expected a number > 0, got 'a'"),

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import math
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -286,10 +287,21 @@ def run_fit(
         raise
     with held_back():
         if steps:  # before the first, a resumed fit had better explore its random starts itself
-            record.save(state, steps)
+            with _not_to_be_lost("the last checkpoint"):
+                record.save(state, steps)
         made = make_fit(problem, description, state, steps, interrupted=interrupted)
-        record.end(made.outcome, made.message, loss=made.loss, rms=made.rms, values=made.values)
+        with _not_to_be_lost("the end of the log"):
+            record.end(made.outcome, made.message, loss=made.loss, rms=made.rms, values=made.values)
     return made
+
+
+@contextlib.contextmanager
+def _not_to_be_lost(what: str) -> Iterator[None]:
+    """A fit that is done is given back, also where the disk is full."""
+    try:
+        yield
+    except OSError as error:
+        warnings.warn(f"{what} could not be written: {error}", CheckpointWarning, stacklevel=4)
 
 
 def make_fit(

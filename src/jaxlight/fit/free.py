@@ -12,7 +12,7 @@ import numpy as np
 
 from ..arrays import array_of
 from ..scene import paths
-from ..scene.fields import number
+from ..scene.fields import largest_of, number
 from ..scene.paths import Path
 from .chosen import MIN_BLOCK, Catalogue, Chosen, choose
 from .parameters import FreeField, FreeLeaf, Parameters, TexelBlock, World
@@ -77,6 +77,10 @@ def free_parameters(
         block, own = _texel_block(world, request, leaf, len(columns[0]), dtype)
         made.append(block)
         columns = [np.concatenate(pair) for pair in zip(columns, own, strict=True)]
+    if np.any(columns[-1] > largest_of(dtype)):
+        raise ValueError(
+            f"free: a prior's deviation is too small: 1 / deviation^2 is more than {np.dtype(dtype)} holds"
+        )
     arrays = (array_of(column, dtype) for column in columns)
     return Parameters(*arrays, leaves=numbers.leaves(world), blocks=tuple(made)), numbers.fields()
 
@@ -219,10 +223,15 @@ def _texel_block(
     deviation = spread("deviation", request.deviation, np.inf)
     if not np.all(deviation > 0):
         raise ValueError(f"{path}: deviation: expected a number > 0, got {request.deviation!r:.40}")
+    mean = spread("mean", request.mean, start)
+    if not np.all(np.isfinite(mean)):
+        raise ValueError(f"{path}: mean: expected finite numbers, got {request.mean!r:.60}")
     smoothness, variation = (
         0.0 if given is None else 1 / number(f"{path}: {option}", given, above=0.0, infinite=True)
         for option, given in (("smoothness", request.smoothness), ("total_variation", request.total_variation))
     )
+    if max(smoothness**2, variation) > largest_of(dtype):
+        raise ValueError(f"{path}: smoothness and total_variation: too small for what {np.dtype(dtype)} holds")
     block = TexelBlock(
         smoothness=jnp.asarray(smoothness**2, dtype),
         total_variation=jnp.asarray(variation, dtype),
@@ -232,7 +241,7 @@ def _texel_block(
         path=path,
     )
     values = np.clip(start.reshape(-1), low, high)
-    return block, [values, low, high, spread("mean", request.mean, start), deviation**-2.0]
+    return block, [values, low, high, mean, deviation**-2.0]
 
 
 def _requests(free: Any) -> list[Free]:

@@ -120,6 +120,12 @@ def make_problem(
     # The document is no number and would only make programs of equal scenes differ.
     world = World(dataclasses.replace(scene, document=None), world.exposure)
     data = [_planned(world, parameters, view_data(scene, view, row, dtype), options) for row, view in enumerate(each)]
+    for row, one in enumerate(data):
+        if parameters.blocks and one.pixel is not None:
+            raise ValueError(
+                f"View[{names[row] or row}].samples: whole textures cannot be fitted to views with several samples a "
+                f"pixel; take one a pixel"
+            )
     labels = [""] * parameters.few
     for field in fields:
         for label, number in zip(field.labels, field.numbers.tolist(), strict=True):

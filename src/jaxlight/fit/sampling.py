@@ -29,15 +29,9 @@ class TexelSampling(eqx.Module):
 def texel_sampling(
     views: Sequence[ViewData], surfaces: tuple[Surface, ...], blocks: tuple[TexelBlock, ...]
 ) -> tuple[TexelSampling, ...]:
-    """Which texels the views see, one entry a stack of views; nothing where no whole texture is free.
-
-    Raises:
-        ValueError: a view with several samples a pixel, which cannot be fitted together with whole textures.
-    """
+    """Which texels the views see, one entry a stack of views; nothing where no whole texture is free."""
     stacks = []
     for stack in views if blocks else ():
-        if stack.pixel is not None:
-            raise ValueError("whole textures cannot be fitted to views with several samples a pixel; take one a pixel")
         samples = stack.samples
         runs = surface_runs(surfaces, samples)
         if samples.texel_index is None or samples.texel_weight is None:

@@ -139,8 +139,8 @@ def _seen_and_heard(
 ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points channels"]]:
     """The target and its weights; where these are 0 both are."""
     label = layout.label
-    weight = _weights(view, layout)
-    used = _mask(view, layout)[:, None] & (weight > 0)
+    weight = _weights(view, layout, _mask(view, layout))
+    used = weight > 0
     _refuse_levels(f"{label}.target", view.target)
     target = layout.points_of("target", view.target)
     bad = np.any(used & ~np.isfinite(target), axis=1)
@@ -175,21 +175,27 @@ def _mask(view: View, layout: _Layout) -> Bool[np.ndarray, " points"]:
     return mask
 
 
-def _weights(view: View, layout: _Layout) -> Float[np.ndarray, "points channels"]:
-    """weight / noise^2; one channel, or one a colour."""
+def _weights(view: View, layout: _Layout, mask: Bool[np.ndarray, " points"]) -> Float[np.ndarray, "points channels"]:
+    """weight / noise^2, 0 outside of the mask; one channel, or one a colour."""
     label, weight = layout.label, np.ones((layout.points, 1))
     if view.weight is not None:
         weight = layout.points_of("weight", view.weight)
         if not np.all(np.isfinite(weight) & (weight >= 0)):
             raise ValueError(f"{label}.weight: every weight must be finite and >= 0")
+    weight = np.where(mask[:, None], weight, 0.0)
     if view.noise is None:
         return weight
     noise = _numbers(f"{label}.noise", view.noise)
     noise = np.full((layout.points, 1), noise) if noise.ndim == 0 else layout.points_of("noise", noise)
-    if not np.all(np.isfinite(noise) & (noise > 0)):
-        raise ValueError(f"{label}.noise: every standard deviation must be finite and > 0")
+    used = weight > 0
+    bad = np.any(used & ~(np.isfinite(noise) & (noise > 0)), axis=1)
+    if np.any(bad):
+        raise ValueError(
+            f"{label}.noise: every standard deviation must be finite and > 0; {np.count_nonzero(bad)} of used points "
+            f"are not (first: {layout.where(int(np.argmax(bad)))})"
+        )
     with np.errstate(all="ignore"):  # what is too little or too much is said where it is used
-        return weight / noise**2
+        return np.where(used, weight / noise**2, 0.0)
 
 
 def _sensor_limits(view: View, label: str) -> tuple[float, float]:
