@@ -262,6 +262,20 @@ def test_interrupted_and_unfinished_fits_resume_with_more_steps(tmp_path: Path, 
     ]
 
 
+def test_an_interrupt_that_somebody_swallows_ends_the_fit(tmp_path: Path) -> None:
+    def swallow(step: Any) -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background of a shell
+    try:
+        result = run(tmp_path, progress=swallow)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert result.outcome == "interrupted" and len(result.history) == 1
+
+
 def test_an_interrupt_before_the_first_evaluation_claims_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*args: Any) -> None:
         raise KeyboardInterrupt

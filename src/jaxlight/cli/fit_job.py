@@ -99,7 +99,7 @@ class FitJob:
                     starts=problem.starts,
                     seed=problem.seed,
                     method=method,
-                    progress=interrupts.watched(None if self.quiet else _StepLines()),
+                    progress=None if self.quiet else _StepLines(),
                     log=log,
                     checkpoint=None if method is not None else checkpoint,
                     checkpoint_seconds=problem.checkpoint_seconds,

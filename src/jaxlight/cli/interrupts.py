@@ -6,7 +6,6 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
@@ -49,17 +48,6 @@ class Interrupts:
     def hold(self) -> None:
         """From here on they are only remembered."""
         self._held = True
-
-    def watched(self, progress: Callable[[Any], Any] | None) -> Callable[[Any], None]:
-        """`progress` that also raises a `KeyboardInterrupt` that somebody swallowed."""
-
-        def show(step: Any) -> None:
-            if progress is not None:
-                progress(step)
-            if self.came:
-                raise KeyboardInterrupt
-
-        return show
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         again, self.came = self.came, True

@@ -23,7 +23,7 @@ from ..tracing import refuse_inside
 from .checkpoint import Checkpoint, CheckpointWarning
 from .chosen import canonical
 from .earlier import spare_unfinished
-from .interrupts import held_back
+from .interrupts import held_back, remembered
 from .minimisers import check_minimiser, minimise
 from .outcomes import Outcome, ending_of, message_of, outcome_of
 from .pictures import residual_image
@@ -270,16 +270,18 @@ def run_fit(
     interrupted = False
     state = begin(problem, solver, every=description.part.every) if state is None else state
     try:
-        record.begin(problem, description, state, max_steps)
-        if drawn is not None:
-            state = begin(problem, solver, explore(problem, solver, drawn).best, description.part.every)
-        while (following := carried_on(problem, solver, state, steps, max_steps)) is not None:
-            new_state = advance(problem, solver, following)
-            step = describe_step(problem, description, new_state, time.monotonic() - began, steps, max_steps)
-            state, steps = new_state, [*steps, step]
-            record.step(step, state, steps, problem.parameters.few)
-            if progress is not None:
-                progress(step)
+        with remembered() as raise_swallowed:
+            record.begin(problem, description, state, max_steps)
+            if drawn is not None:
+                state = begin(problem, solver, explore(problem, solver, drawn).best, description.part.every)
+            while (following := carried_on(problem, solver, state, steps, max_steps)) is not None:
+                new_state = advance(problem, solver, following)
+                step = describe_step(problem, description, new_state, time.monotonic() - began, steps, max_steps)
+                state, steps = new_state, [*steps, step]
+                record.step(step, state, steps, problem.parameters.few)
+                if progress is not None:
+                    progress(step)
+                raise_swallowed()
     except KeyboardInterrupt:
         interrupted = True
     except BaseException as error:

@@ -1,11 +1,27 @@
-"""Ctrl-C while something is finished that must not be lost."""
+"""Ctrl-C while a fit goes on, and while something is finished that must not be lost."""
 
 from __future__ import annotations
 
 import contextlib
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
+
+
+@contextlib.contextmanager
+def remembered() -> Iterator[Callable[[], None]]:
+    """Ctrl-C is heard as ever; what is given raises a `KeyboardInterrupt` that came and that somebody swallowed.
+
+    Where a compiler calls Python back, exceptions may be lost.
+    """
+    with _listening(lambda handler, *interrupt: handler(*interrupt)) as came:
+
+        def raise_swallowed() -> None:
+            if came:
+                raise KeyboardInterrupt
+
+        yield raise_swallowed
 
 
 @contextlib.contextmanager
@@ -14,16 +30,32 @@ def held_back() -> Iterator[None]:
 
     What is done by then is done: a `KeyboardInterrupt` that the handler raises goes no further.
     """
-    handler = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(handler):
-        yield  # no interrupt reaches this thread, or none is listened to
-        return
-    came = []
-    signal.signal(signal.SIGINT, lambda *interrupt: came.append(interrupt))
+    handler: Any = signal.getsignal(signal.SIGINT)
+    came: list[Any] = []
     try:
-        yield
+        with _listening(lambda *_: None) as came:
+            yield
     finally:
-        signal.signal(signal.SIGINT, handler)
         if came:
             with contextlib.suppress(KeyboardInterrupt):
                 handler(*came[-1])
+
+
+@contextlib.contextmanager
+def _listening(answer: Callable[..., None]) -> Iterator[list[Any]]:
+    """Gives the interrupts that come in the block, each of which is answered: answer(handler, *interrupt)."""
+    handler = signal.getsignal(signal.SIGINT)
+    came: list[Any] = []
+    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+        yield came  # no interrupt reaches this thread, or none is listened to
+        return
+
+    def hear(*interrupt: Any) -> None:
+        came.append(interrupt)
+        answer(handler, *interrupt)
+
+    signal.signal(signal.SIGINT, hear)
+    try:
+        yield came
+    finally:
+        signal.signal(signal.SIGINT, handler)
