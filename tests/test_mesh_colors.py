@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import struct
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
+from jaxlight import SceneFileWarning
 from jaxlight.scene import nodes as n
 from test_meshes import rewritten, shapes_of
+
+UNLIT = "KHR_materials_unlit"
 
 
 @pytest.mark.parametrize("alpha", [255, 128])
@@ -137,3 +142,91 @@ def test_alpha_of_glb_colors_is_read_unless_the_material_is_opaque(
     (shape,) = shapes_of(tmp_path / "a.glb")
     assert type(shape.geometry.color) is (n.Color if opaque else n.ColorRGBA)
     assert shape.geometry.solid
+
+
+def painted(folder: Path, color: tuple[int, ...], material: dict, texture: str = "") -> n.Shape:
+    """The shape of a glb of one triangle whose vertices have this colour, with this material and mode of a texture."""
+    mesh = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
+    mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.full((3, 4), color, np.uint8))
+
+    def change(header: dict) -> None:
+        header["materials"], header["meshes"][0]["primitives"][0]["material"] = [material], 0
+        if texture:
+            Image.new(texture, (1, 1)).save(folder / "t.png")
+            header |= {"images": [{"uri": "t.png"}], "textures": [{"source": 0}]}
+            material["pbrMetallicRoughness"] |= {"baseColorTexture": {"index": 0}}
+
+    (folder / "a.glb").write_bytes(rewritten(trimesh.Scene(mesh).export(file_type="glb"), change))
+    (shape,) = shapes_of(folder / "a.glb")
+    return shape
+
+
+@pytest.mark.parametrize(
+    ("metallic", "alpha_mode", "expected"),
+    [(0, "OPAQUE", (0.4, 0.1, 0)), (0, "BLEND", (0.4, 0.1, 0, 0.1)), (1, "OPAQUE", (0.2, 0.05, 0))],
+)
+def test_colors_of_glb_vertices_are_scaled_by_their_material(
+    tmp_path: Path, metallic: float, alpha_mode: str, expected: tuple[float, ...]
+) -> None:
+    """glTF 3.9.2 and 3.7.2.1: COLOR_0 scales the base colour, of which rough metal scatters less."""
+    factors = {"baseColorFactor": [0.8, 0.5, 0.25, 0.5], "metallicFactor": metallic, "roughnessFactor": 0.5}
+    shape = painted(tmp_path, (128, 51, 0, 51), {"pbrMetallicRoughness": factors, "alphaMode": alpha_mode})
+    for color in shape.geometry.color.color:
+        np.testing.assert_allclose(color, np.array(expected) * ((128 / 127.5, 1, 1, 1)[: len(expected)]))
+
+
+def test_colors_of_glb_vertices_scale_what_scatters_of_specular_glossiness(tmp_path: Path) -> None:
+    glossy = {"diffuseFactor": [0.8, 0.4, 0.2, 1], "specularFactor": [0.25, 0.125, 0], "glossinessFactor": 0.5}
+    material = {"extensions": {"KHR_materials_pbrSpecularGlossiness": glossy}}
+    shape = painted(tmp_path, (51, 51, 255, 255), material)
+    expected = np.array([0.16, 0.08, 0.2]) * 0.75 + np.array([0.25, 0.125, 0]) * 0.5
+    np.testing.assert_allclose(shape.geometry.color.color[0], expected)
+
+
+@pytest.mark.parametrize("unlit", [False, True])
+def test_white_colors_of_glb_vertices_leave_their_material_what_is_shaded(tmp_path: Path, unlit: bool) -> None:
+    extensions = {UNLIT: {}} if unlit else {}
+    factors = {"baseColorFactor": [0.8, 0.5, 0.25, 1], "metallicFactor": 0}
+    shape = painted(tmp_path, (255,) * 4, {"pbrMetallicRoughness": factors, "extensions": extensions})
+    assert shape.geometry.color is None
+    material = shape.appearance.material
+    assert (material.emissive_color if unlit else material.diffuse_color) == (0.8, 0.5, 0.25)
+
+
+def test_colors_of_unlit_glb_vertices_are_scaled_by_their_base_color(tmp_path: Path) -> None:
+    factors = {"baseColorFactor": [0.8, 0.5, 0.25, 1]}
+    shape = painted(tmp_path, (0, 51, 255, 255), {"pbrMetallicRoughness": factors, "extensions": {UNLIT: {}}})
+    assert shape.appearance.material is None
+    np.testing.assert_allclose(shape.geometry.color.color[0], (0, 0.1, 0.25))
+
+
+@pytest.mark.parametrize(
+    ("texture", "alpha_mode", "base", "color", "noted"),
+    [
+        ("RGB", "OPAQUE", (0.8, 0.5, 0.25, 1), (255,) * 4, ["baseColorFactor"]),
+        ("RGB", "OPAQUE", (1, 1, 1, 1), (255, 255, 0, 255), ["COLOR_0"]),
+        ("RGB", "OPAQUE", (0.5, 1, 1, 1), (255, 255, 0, 255), ["baseColorFactor", "COLOR_0"]),
+        ("RGBA", "BLEND", (1, 1, 1, 0.5), (255,) * 4, ["baseColorFactor"]),
+        ("RGBA", "OPAQUE", (1, 1, 1, 0.5), (255,) * 4, []),
+        ("RGB", "BLEND", (1, 1, 1, 0.5), (255,) * 4, []),
+        ("L", "OPAQUE", (0.8, 0.5, 0.25, 1), (255, 255, 0, 255), []),
+    ],
+)
+def test_what_a_texture_of_a_glb_replaces_is_named(
+    tmp_path: Path, texture: str, alpha_mode: str, base: tuple, color: tuple, noted: list[str]
+) -> None:
+    material = {"pbrMetallicRoughness": {"baseColorFactor": list(base)}, "alphaMode": alpha_mode}
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always", SceneFileWarning)
+        painted(tmp_path, color, material, texture)
+    said = " ".join(str(warning.message) for warning in heard)
+    for name in ("baseColorFactor", "COLOR_0"):
+        named = f"glTF {name} under a texture, but with texture_mode='modulate' x1" in said
+        assert named == (name in noted)
+
+
+@pytest.mark.parametrize("texture", ["RGB", "L"])
+def test_a_base_color_under_the_texture_of_an_unlit_material_is_named(tmp_path: Path, texture: str) -> None:
+    factors = {"baseColorFactor": [0.5, 1, 1, 1]}
+    with pytest.warns(SceneFileWarning, match="glTF baseColorFactor under the texture of an unlit material x1"):
+        painted(tmp_path, (255,) * 4, {"pbrMetallicRoughness": factors, "extensions": {UNLIT: {}}}, texture)

@@ -196,7 +196,7 @@ MATRIX = trimesh.transformations.compose_matrix(
 def glb() -> bytes:
     box = trimesh.creation.box()
     pixels = Image.fromarray(np.array([[[255, 0, 0, 255]], [[0, 255, 0, 0]]], dtype=np.uint8))
-    material = PBRMaterial(name="red", baseColorFactor=[255, 0, 0, 255], baseColorTexture=pixels)
+    material = PBRMaterial(name="red", baseColorTexture=pixels)
     box.visual = trimesh.visual.TextureVisuals(uv=np.random.default_rng(0).random((8, 2)), material=material)
     scene = trimesh.Scene()
     turn = trimesh.transformations.rotation_matrix(np.pi, [1, 1, 0])
@@ -228,7 +228,8 @@ def test_gltf_materials_are_exact_shared_and_named(tmp_path: Path, glb: bytes) -
         }
 
     (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
-    scene = load(tmp_path / "a.glb")
+    with pytest.warns(SceneFileWarning, match="glTF baseColorFactor under a texture"):
+        scene = load(tmp_path / "a.glb")
     (red,) = [node for node in scene.document.materials if node.name == "red"]
     assert red.diffuse_color == (0.123456789, 0.5, 0.25)
     assert red.transparency == 0  # alphaMode is OPAQUE
@@ -248,7 +249,8 @@ def test_gltf_alpha_and_double_sides(tmp_path: Path, glb: bytes) -> None:
         header["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [1, 1, 1, 0.25]
 
     (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
-    scene = load(tmp_path / "a.glb")
+    with pytest.warns(SceneFileWarning, match="glTF baseColorFactor under a texture"):
+        scene = load(tmp_path / "a.glb")
     (box,) = {placed.node.geometry for placed in scene.document.shapes if placed.node.appearance.texture}
     assert not box.solid
     assert next(node for node in scene.document.materials if node.name == "red").transparency == 0.75
@@ -303,7 +305,7 @@ def test_an_unlit_material_gives_way_to_the_colours_of_its_own_mesh_only(
 ) -> None:
     def change(header: dict) -> None:
         (red,) = header["materials"]
-        del red["pbrMetallicRoughness"]["baseColorTexture"]
+        red["pbrMetallicRoughness"] = {"baseColorFactor": [1, 0, 0, 1]}
         red["extensions"] = {"KHR_materials_unlit": {}} if unlit else {}
         (textured,) = [mesh for mesh in header["meshes"] if "material" in mesh["primitives"][0]]
         plain = textured["primitives"][0]

@@ -18,7 +18,7 @@ import numpy as np
 
 from .errors import SceneFileError
 from .gltf_checks import TRANSFORM, UNLIT, check_header, check_rows
-from .mesh_materials import SPECULAR_GLOSSINESS
+from .mesh_materials import SPECULAR_GLOSSINESS, GltfFactors
 from .notes import ReadNotes
 
 _JSON_CHUNK = 0x4E4F534A
@@ -50,6 +50,24 @@ class GltfMaterial:
     def is_opaque(self) -> bool:
         """True if alpha, whatever it comes from, is not to be read."""
         return self.description.get("alphaMode", "OPAQUE") == "OPAQUE"
+
+    @property
+    def is_double_sided(self) -> bool:
+        """True if the back of its faces is to be seen too."""
+        return bool(self.description.get("doubleSided", False))
+
+    def base(self) -> np.ndarray:
+        """The base colour and alpha [4] that the material states."""
+        if self.is_unlit:  # another description of the surface has no say then
+            return GltfFactors.of({**self.description, "extensions": {}}).base
+        return GltfFactors.of(self.description).base
+
+    def painted(self, colors: np.ndarray) -> np.ndarray:
+        """What is shaded of the colours of vertices [n, 3 or 4], which scale the base colour and its alpha."""
+        scaled = colors * self.base()[: colors.shape[1]]
+        if not self.is_unlit:
+            scaled[:, :3] = GltfFactors.of(self.description).diffuse(scaled[:, :3])
+        return np.clip(scaled, 0.0, 1.0)
 
     def texcoord(self, uv: np.ndarray) -> np.ndarray:
         """Texture coordinates [n, 2] (t up) after KHR_texture_transform, which is stated for t down: T R S, S first.

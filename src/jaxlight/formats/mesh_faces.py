@@ -39,7 +39,7 @@ def face_set(mesh: Any, material: GltfMaterial | None, notes: ReadNotes, *, soli
     else:
         options["crease_angle"] = CREASE_ANGLE
     _note_lost(mesh, notes)
-    colors, on_faces = _colors(mesh, opaque=material is not None and material.is_opaque)
+    colors, on_faces = _colors(mesh, material)
     if colors is not None and on_faces and len(colors.color) != len(faces):
         notes.unused["ply colours of faces that have more than three corners"] += 1
     elif colors is not None and on_faces:
@@ -56,8 +56,11 @@ def face_set(mesh: Any, material: GltfMaterial | None, notes: ReadNotes, *, soli
     return geometry
 
 
-def _colors(mesh: Any, *, opaque: bool) -> tuple[nodes.Color | nodes.ColorRGBA | None, bool]:
-    """The colours of vertices or faces, and whether they are of faces; RGB if all are opaque, or count as such."""
+def _colors(mesh: Any, material: GltfMaterial | None) -> tuple[nodes.Color | nodes.ColorRGBA | None, bool]:
+    """The colours of vertices or faces, and whether they are of faces; RGB if all are opaque, or count as such.
+
+    Those of a glTF scale its material. White ones leave it as it is: they are left out, so that it can be fitted.
+    """
     kind = mesh.visual.kind
     on_faces = False
     if kind in ("vertex", "face"):
@@ -76,9 +79,13 @@ def _colors(mesh: Any, *, opaque: bool) -> tuple[nodes.Color | nodes.ColorRGBA |
     colors = np.asarray(colors)
     largest = np.iinfo(colors.dtype).max if np.issubdtype(colors.dtype, np.integer) else 1.0
     values = np.clip(colors.astype(np.float64) / largest, 0.0, 1.0)
-    if values.shape[1] == 4 and not opaque and not np.all(values[:, 3] == 1.0):
-        return nodes.ColorRGBA(color=values), on_faces
-    return nodes.Color(color=values[:, :3]), on_faces
+    if (material is not None and material.is_opaque) or np.all(values[:, 3:] == 1.0):
+        values = values[:, :3]
+    if material is not None and not material.is_stand_in:
+        if np.all(values == 1.0):
+            return None, on_faces
+        values = material.painted(values)
+    return (nodes.ColorRGBA if values.shape[1] == 4 else nodes.Color)(color=values), on_faces
 
 
 def _colors_of_ply(mesh: Any, element: str, count: int) -> np.ndarray | None:

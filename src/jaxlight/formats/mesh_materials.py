@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,7 @@ _MAX_EXPONENT = 128.0
 """X3D's shininess 1 (17.2.2.4)."""
 _DIELECTRIC = 0.04
 """Reflectance of a dielectric seen straight on, as glTF assumes."""
+_WHITE = (1.0, 1.0, 1.0, 1.0)
 SPECULAR_GLOSSINESS = "KHR_materials_pbrSpecularGlossiness"
 """The glTF extension that describes a material by its diffuse and specular colour and its glossiness."""
 
@@ -46,6 +47,40 @@ def material_from_mtl(name: str, values: dict[str, Any], glossiness: float) -> M
     )
 
 
+class GltfFactors(NamedTuple):
+    """The numbers of a glTF metallic-roughness or specular-glossiness material that X3D's Material is made of."""
+
+    base: np.ndarray
+    """Base colour and alpha [4]."""
+    roughness: float
+    straight_on: np.ndarray
+    """F0 [3], the reflectance seen straight on."""
+    scattering: float
+    """How much of the base colour is scattered."""
+    besides: np.ndarray
+    """What is scattered whatever the base colour is [3]."""
+
+    @classmethod
+    def of(cls, description: dict[str, Any]) -> GltfFactors:
+        """Those of a material of the glTF header."""
+        glossy = description.get("extensions", {}).get(SPECULAR_GLOSSINESS)
+        if glossy is not None:
+            base = np.asarray(glossy.get("diffuseFactor", _WHITE), dtype=np.float64)
+            roughness = 1.0 - float(np.clip(glossy.get("glossinessFactor", 1.0), 0.0, 1.0))
+            straight_on = np.asarray(glossy.get("specularFactor", _WHITE[:3]), dtype=np.float64)
+            return cls(base, roughness, straight_on, 1.0 - float(straight_on.max()), straight_on * roughness)
+        factors = description.get("pbrMetallicRoughness", {})
+        base = np.asarray(factors.get("baseColorFactor", _WHITE), dtype=np.float64)
+        metallic = float(factors.get("metallicFactor", 1.0))
+        roughness = float(np.clip(factors.get("roughnessFactor", 1.0), 0.0, 1.0))
+        straight_on = _DIELECTRIC * (1.0 - metallic) + base[:3] * metallic
+        return cls(base, roughness, straight_on, 1.0 - metallic * (1.0 - roughness), np.zeros(3))
+
+    def diffuse(self, base: np.ndarray) -> np.ndarray:
+        """diffuseColor [..., 3] of a base colour [..., 3]."""
+        return base * self.scattering + self.besides
+
+
 def material_from_gltf(name: str, description: dict[str, Any], *, see_through: bool) -> Material:
     """The X3D material of a glTF metallic-roughness or specular-glossiness material.
 
@@ -61,34 +96,23 @@ def material_from_gltf(name: str, description: dict[str, Any], *, see_through: b
         description: the material of the glTF header.
         see_through: alphaMode is not OPAQUE: transparency = 1 - alpha.
     """
-    glossy = description.get("extensions", {}).get(SPECULAR_GLOSSINESS)
-    if glossy is None:
-        factors = description.get("pbrMetallicRoughness", {})
-        base = np.asarray(factors.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0)), dtype=np.float64)
-        metallic = float(factors.get("metallicFactor", 1.0))
-        roughness = float(np.clip(factors.get("roughnessFactor", 1.0), 0.0, 1.0))
-        straight_on = _DIELECTRIC * (1.0 - metallic) + base[:3] * metallic
-        diffuse = base[:3] * (1.0 - metallic * (1.0 - roughness))
-    else:
-        base = np.asarray(glossy.get("diffuseFactor", (1.0, 1.0, 1.0, 1.0)), dtype=np.float64)
-        roughness = 1.0 - float(np.clip(glossy.get("glossinessFactor", 1.0), 0.0, 1.0))
-        straight_on = np.asarray(glossy.get("specularFactor", (1.0, 1.0, 1.0)), dtype=np.float64)
-        diffuse = base[:3] * (1.0 - straight_on.max()) + straight_on * roughness
+    factors = GltfFactors.of(description)
+    roughness = factors.roughness
     exponent = float(np.clip(2.0 / max(roughness, 1e-3) ** 4 - 2.0, 0.0, _MAX_EXPONENT))
     return _material(
         name,
         ambient_intensity=0.2,
-        diffuse_color=diffuse,
+        diffuse_color=factors.diffuse(factors.base[:3]),
         emissive_color=np.asarray(description.get("emissiveFactor", (0.0, 0.0, 0.0)), dtype=np.float64),
         shininess=exponent / _MAX_EXPONENT,
-        specular_color=straight_on * (1.0 - roughness) * (exponent + 8.0) / 8.0,
-        transparency=1.0 - float(base[3]) if see_through else 0.0,
+        specular_color=factors.straight_on * (1.0 - roughness) * (exponent + 8.0) / 8.0,
+        transparency=1.0 - float(factors.base[3]) if see_through else 0.0,
     )
 
 
 def unlit_material_from_gltf(name: str, description: dict[str, Any]) -> Material:
     """The X3D material of a glTF material that takes no light (KHR_materials_unlit): it only emits its base colour."""
-    base = description.get("pbrMetallicRoughness", {}).get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))
+    base = description.get("pbrMetallicRoughness", {}).get("baseColorFactor", _WHITE)
     emissive = np.asarray(base, dtype=np.float64)[:3]
     black = np.zeros(3)
     return _material(name, diffuse_color=black, emissive_color=emissive, specular_color=black)

@@ -32,6 +32,8 @@ from .x3d_textures import TextureReader
 
 _FACES_TEXCOORD = re.compile(rb"^property[ \t]+list[ \t]+\S+[ \t]+\S+[ \t]+texcoord\b", re.MULTILINE)
 """What ply calls texture coordinates that stand with faces."""
+_UNDER_TEXTURE = "under a texture, but with texture_mode='modulate'"
+"""Where X3D does not use colours that glTF multiplies with those of the texture."""
 
 
 def read_mesh(path: Path, data: bytes, file_format: Format) -> tuple[tuple[nodes.Node, ...], ReadNotes]:
@@ -91,7 +93,7 @@ class _MeshBuilder:
         self._folder = folder
         self._textures = TextureReader(ResourceFolder(path))
         self._shapes: dict[str, nodes.Shape | None] = {}
-        self._appearances: dict[tuple[int, bool], tuple[nodes.Appearance, bool]] = {}
+        self._appearances: dict[tuple[int, bool], nodes.Appearance] = {}
         """By identity of the material, and whether it is unlit on a mesh with colours: then it must not hide them."""
         self._pixels: dict[int, np.ndarray | None] = {}
         """By identity of the image; None if it cannot be had."""
@@ -103,8 +105,10 @@ class _MeshBuilder:
         if name not in self._shapes:
             mesh: Any = self._geometry[name]
             if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
-                appearance, solid = self._appearance(mesh)
-                geometry = face_set(mesh, self._gltf_material(mesh), self._notes, solid=solid)
+                described = self._gltf_material(mesh)
+                solid = self._gltf and not (described is not None and described.is_double_sided)
+                geometry = face_set(mesh, described, self._notes, solid=solid)
+                appearance = self._appearance(mesh, colored=geometry.color is not None)
                 label = name if self._gltf else ""  # of other formats the name is made up
                 self._shapes[name] = nodes.Shape(appearance=appearance, geometry=geometry, name=label)
             else:
@@ -112,21 +116,24 @@ class _MeshBuilder:
                 self._shapes[name] = None
         return self._shapes[name]
 
-    def _appearance(self, mesh: Any) -> tuple[nodes.Appearance, bool]:
-        """The appearance, and whether only the front of the faces is to be seen (only glTF says so)."""
+    def _appearance(self, mesh: Any, *, colored: bool) -> nodes.Appearance:
+        """The appearance of a mesh that has colours, or that has none."""
         material = _material_of(mesh)
         described = self._gltf_material(mesh)
         if material is None or self._is_stand_in(material) or (described is not None and described.is_stand_in):
-            return nodes.Appearance(material=nodes.Material()), self._gltf
-        colored = described is not None and described.is_unlit and "color" in mesh.visual.vertex_attributes
-        key = (id(material), colored)
+            return nodes.Appearance(material=nodes.Material())
+        hidden = described is not None and described.is_unlit and colored
+        key = (id(material), hidden)
         if key not in self._appearances:
             self._appearances[key] = (
-                (self._from_mtl(material), False)
+                self._from_mtl(material)
                 if described is None
-                else self._from_gltf(material, described, colored=colored)
+                else self._from_gltf(material, described, without_material=hidden)
             )
-        return self._appearances[key]
+        appearance = self._appearances[key]
+        if described is not None and colored and _replaced_components(appearance.texture):
+            self._notes.unused[f"glTF COLOR_0 {_UNDER_TEXTURE}"] += 1
+        return appearance
 
     def _is_stand_in(self, material: Any) -> bool:
         """True for what an obj is given where it has no material, and for the gray one that trimesh makes up for
@@ -147,16 +154,26 @@ class _MeshBuilder:
         self._note_unread(material.image, self._folder.textures.get(material.name, ""))
         return nodes.Appearance(material=node, texture=self._texture(material.image))
 
-    def _from_gltf(self, material: Any, described: GltfMaterial, *, colored: bool) -> tuple[nodes.Appearance, bool]:
+    def _from_gltf(self, material: Any, described: GltfMaterial, *, without_material: bool) -> nodes.Appearance:
         description = described.description
         name = str(description.get("name", ""))
         repeats = (described.repeat_s, described.repeat_t)
         self._note_unread(material.baseColorTexture, described.image)
         texture = self._texture(material.baseColorTexture, opaque=described.is_opaque, repeats=repeats)
+        self._note_base_color(described, texture, in_colors=without_material)
         node: nodes.Material | None = material_from_gltf(name, description, see_through=not described.is_opaque)
         if described.is_unlit:
-            node = None if colored or texture is not None else unlit_material_from_gltf(name, description)
-        return nodes.Appearance(material=node, texture=texture), not description.get("doubleSided", False)
+            replaced = without_material or texture is not None
+            node = None if replaced else unlit_material_from_gltf(name, description)
+        return nodes.Appearance(material=node, texture=texture)
+
+    def _note_base_color(self, described: GltfMaterial, texture: nodes.Node | None, *, in_colors: bool) -> None:
+        """Note a base colour that scales the texture in glTF only."""
+        replaced, where = _replaced_components(texture), _UNDER_TEXTURE
+        if described.is_unlit and texture is not None and not in_colors:  # there is no material to hold it
+            replaced, where = 3 if described.is_opaque else 4, "under the texture of an unlit material"
+        if np.any(described.base()[:replaced] != 1.0):
+            self._notes.unused[f"glTF baseColorFactor {where}"] += 1
 
     def _note_unread(self, image: Image.Image | None, name: str) -> None:
         """Note a file that is there, but that trimesh could not open as an image."""
@@ -194,6 +211,12 @@ class _MeshBuilder:
 
 def _material_of(mesh: Any) -> Any:
     return getattr(mesh.visual, "material", None) if mesh.visual.kind == "texture" else None
+
+
+def _replaced_components(texture: Any) -> int:
+    """How many of red, green, blue and alpha a texture with colours of its own replaces (X3D table 17.3)."""
+    components = 0 if texture is None or texture.image is None else texture.image.shape[2]
+    return components if components >= 3 else 0
 
 
 def _url_of(image: Image.Image) -> str:
