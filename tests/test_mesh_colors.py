@@ -55,37 +55,40 @@ def test_colors_of_a_ply_keep_all_their_digits(tmp_path: Path, kind: str, elemen
         np.testing.assert_allclose(color, expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("with_material", [False, True])
-@pytest.mark.parametrize(("kind", "dtype"), [(5121, np.uint8), (5123, np.uint16), (5126, np.float32)])
-def test_colors_of_a_glb_keep_all_their_digits(tmp_path: Path, kind: int, dtype: Any, with_material: bool) -> None:
+def glb_with_colors(colors: np.ndarray, material: dict | None = None) -> bytes:
+    """A glb of one triangle whose vertices have these colours, as they are."""
     mesh = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
-    colors = np.array([[10, 20, 250, 255], [1, 2, 3, 255], [77, 88, 99, 255]])
-    mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=colors.astype(np.uint8))
-    own = colors / 255 * (1 if dtype == np.float32 else np.iinfo(dtype).max)
-    own = (own if dtype == np.float32 else np.round(own)).astype(dtype)
-    own[:, :3] -= np.asarray(0.001 if dtype == np.float32 else 1, dtype)
     data = trimesh.Scene(mesh).export(file_type="glb")
     length = struct.unpack_from("<I", data, 12)[0]
     rest = data[20 + length + 8 :]
     rest += b"\0" * (-len(rest) % 4)
+    kind = {"uint8": 5121, "uint16": 5123, "float32": 5126}[colors.dtype.name]
 
     def change(header: dict) -> None:
-        header["bufferViews"].append({"buffer": 0, "byteOffset": len(rest), "byteLength": own.nbytes})
-        accessor = {"bufferView": len(header["bufferViews"]) - 1, "componentType": kind, "type": "VEC4", "count": 3}
-        header["accessors"].append({**accessor, "normalized": dtype != np.float32})
-        header["buffers"][0]["byteLength"] = len(rest) + own.nbytes
+        header["bufferViews"].append({"buffer": 0, "byteOffset": len(rest), "byteLength": colors.nbytes})
+        view, columns = len(header["bufferViews"]) - 1, colors.shape[1]
+        accessor = {"bufferView": view, "componentType": kind, "type": f"VEC{columns}", "count": len(colors)}
+        header["accessors"].append({**accessor, "normalized": kind != 5126})
+        header["buffers"][0]["byteLength"] = len(rest) + colors.nbytes
         primitive = header["meshes"][0]["primitives"][0]
         primitive["attributes"]["COLOR_0"] = len(header["accessors"]) - 1
-        primitive.pop("material", None)
-        if with_material:
-            header["materials"] = [{}]
-            primitive["material"] = 0
+        if material is not None:
+            header["materials"], primitive["material"] = [material], 0
 
     changed = rewritten(data, change)
     head = struct.unpack_from("<I", changed, 12)[0]
-    chunk = rest + own.tobytes()
-    changed = changed[: 20 + head] + struct.pack("<I", len(chunk)) + b"BIN\0" + chunk
-    (tmp_path / "a.glb").write_bytes(changed)
+    chunk = rest + colors.tobytes()
+    return changed[: 20 + head] + struct.pack("<I", len(chunk)) + b"BIN\0" + chunk
+
+
+@pytest.mark.parametrize("with_material", [False, True])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_colors_of_a_glb_keep_all_their_digits(tmp_path: Path, dtype: Any, with_material: bool) -> None:
+    colors = np.array([[10, 20, 250, 255], [1, 2, 3, 255], [77, 88, 99, 255]])
+    own = colors / 255 * (1 if dtype == np.float32 else np.iinfo(dtype).max)
+    own = (own if dtype == np.float32 else np.round(own)).astype(dtype)
+    own[:, :3] -= np.asarray(0.001 if dtype == np.float32 else 1, dtype)
+    (tmp_path / "a.glb").write_bytes(glb_with_colors(own, {} if with_material else None))
     (shape,) = shapes_of(tmp_path / "a.glb")
     largest = 1 if dtype == np.float32 else np.iinfo(dtype).max
     np.testing.assert_allclose(shape.geometry.color.color, own[:, :3] / largest, rtol=1e-6)
@@ -230,3 +233,67 @@ def test_a_base_color_under_the_texture_of_an_unlit_material_is_named(tmp_path: 
     factors = {"baseColorFactor": [0.5, 1, 1, 1]}
     with pytest.warns(SceneFileWarning, match="glTF baseColorFactor under the texture of an unlit material x1"):
         painted(tmp_path, (255,) * 4, {"pbrMetallicRoughness": factors, "extensions": {UNLIT: {}}}, texture)
+
+
+def triangle_ply(rows: str, kind: str, names: tuple[str, ...], face: str = "3 0 1 2") -> str:
+    """A ply of one triangle whose vertices have properties of these names and one type; each row is theirs."""
+    fields = "".join(f"property {kind} {name}\n" for name in names)
+    head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    body = "".join(f"{place} {rows}\n" for place in PLACES)
+    return f"{head}{fields}element face 1\nproperty list uchar int vertex_indices\nend_header\n{body}{face}\n"
+
+
+@pytest.mark.parametrize(
+    "names", [("diffuse_red", "diffuse_green", "diffuse_blue", "diffuse_alpha"), ("r", "g", "b", "a")]
+)
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_colors_of_a_ply_have_several_names(tmp_path: Path, names: tuple[str, ...], end: str) -> None:
+    text = triangle_ply("255 128 1 51", "uchar", names)
+    (tmp_path / "a.ply").write_bytes(text.replace("\n", end).encode())
+    (shape,) = shapes_of(tmp_path / "a.ply")
+    np.testing.assert_array_equal(shape.geometry.color.color[0], np.array([255, 128, 1, 51]) / 255)
+
+
+def test_other_names_of_ply_colors_are_left_where_the_usual_ones_are(tmp_path: Path) -> None:
+    names = ("red", "green", "blue", "r", "g", "b", "diffuse_red")
+    (tmp_path / "a.ply").write_text(triangle_ply("255 128 1 9 9 9 9", "uchar", names))
+    (shape,) = shapes_of(tmp_path / "a.ply")
+    np.testing.assert_array_equal(shape.geometry.color.color[0], np.array([255, 128, 1]) / 255)
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a.ply"])
+def test_colors_of_0_to_255_are_told_from_those_of_0_to_1(tmp_path: Path, name: str) -> None:
+    if name == "a.obj":
+        vertices = ("v 0 0 0 255 51 0", "v 1 0 0 1 1 1 7", "v 0 1 0 0 0 127.5")
+        (tmp_path / name).write_text("\n".join([*vertices, "f 1 2 3", "usemtl a", "f 2 3 1"]))
+    else:
+        (tmp_path / name).write_text(triangle_ply("255 51 0", "float", ("red", "green", "blue")))
+    with pytest.warns(SceneFileWarning, match=f"{name[2:]} colours above 1, read as 0 to 255 x1"):
+        shapes = shapes_of(tmp_path / name)
+    for shape in shapes:
+        np.testing.assert_array_equal(shape.geometry.color.color.max(axis=0)[:2], (1, 0.2))
+        assert shape.geometry.coord.point.max() == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "color", "expected", "noted"),
+    [
+        ("a.obj", "0.5 -0.25 1", (0.5, 0, 1), "-0.25 to 1"),
+        ("a.obj", "510 0 51", (1, 0, 0.2), "0 to 2"),
+        ("a.ply", "-1 0.25 0.5", (0, 0.25, 0.5), "-1 to 0.5"),
+        ("a.glb", "2 0.5 0.25", (1, 0.5, 0.25), "0.25 to 2"),
+    ],
+)
+def test_colors_out_of_range_are_clamped_and_named(
+    tmp_path: Path, name: str, color: str, expected: tuple, noted: str
+) -> None:
+    if name == "a.obj":
+        (tmp_path / name).write_text("".join(f"v {place} {color}\n" for place in PLACES) + "f 1 2 3\n")
+    elif name == "a.ply":
+        (tmp_path / name).write_text(triangle_ply(color, "float", ("red", "green", "blue")))
+    else:
+        (tmp_path / name).write_bytes(glb_with_colors(np.array([color.split()] * 3, np.float32)))
+    with pytest.warns(SceneFileWarning, match=rf"clamped 1 value .*: colours of vertices \({noted}\)"):
+        (shape,) = shapes_of(tmp_path / name)
+    for own in shape.geometry.color.color:
+        np.testing.assert_allclose(own, expected)

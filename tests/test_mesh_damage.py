@@ -215,6 +215,23 @@ def test_an_unusual_number_of_one_material_changes_no_other(
     assert len(heard) == bool(noted) and all(re.search(noted, str(warning.message)) for warning in heard)
 
 
+@pytest.mark.parametrize(
+    ("line", "field", "value"),
+    [
+        ("Kd 1.5 0.25 -1", "diffuse_color", (1, 0.25, 0)),
+        ("Ke 3", "emissive_color", (1, 1, 1)),
+        ("d 1.5", "transparency", 0),
+        ("Tr -1", "transparency", 0),
+        ("Ns 500", "shininess", 1),
+        ("Ns -3", "shininess", 0),
+    ],
+)
+def test_numbers_of_a_material_out_of_range_are_named(tmp_path: Path, line: str, field: str, value: object) -> None:
+    keyword, _, numbers = line.partition(" ")
+    with pytest.warns(SceneFileWarning, match=rf"clamped 1 value .*: {keyword} of material 'red' \({numbers}\)$"):
+        assert getattr(library(tmp_path, f"newmtl red\n{line}\n").appearance.material, field) == value
+
+
 def test_a_texture_that_is_no_image_is_named(tmp_path: Path) -> None:
     (tmp_path / "wood.png").write_bytes(b"xx")
     with pytest.warns(SceneFileWarning, match="1 file not used: 'wood.png': no image that can be read"):

@@ -298,6 +298,7 @@ def test_the_pixels_of_embedded_images_are_bounded_together(
     assert found == {"0": True, "1": True, "2": False}
 
 
+@pytest.mark.filterwarnings("ignore:.*colours of vertices:jaxlight.SceneFileWarning")  # positions stand for them
 @pytest.mark.parametrize("colored_first", [True, False])
 @pytest.mark.parametrize("unlit", [True, False])
 def test_an_unlit_material_gives_way_to_the_colours_of_its_own_mesh_only(

@@ -39,7 +39,7 @@ def face_set(mesh: Any, material: GltfMaterial | None, notes: ReadNotes, *, soli
     else:
         options["crease_angle"] = CREASE_ANGLE
     _note_lost(mesh, notes)
-    colors, on_faces = _colors(mesh, material)
+    colors, on_faces = _colors(mesh, material, notes)
     if colors is not None and on_faces and len(colors.color) != len(faces):
         notes.unused["ply colours of faces that have more than three corners"] += 1
     elif colors is not None and on_faces:
@@ -56,7 +56,9 @@ def face_set(mesh: Any, material: GltfMaterial | None, notes: ReadNotes, *, soli
     return geometry
 
 
-def _colors(mesh: Any, material: GltfMaterial | None) -> tuple[nodes.Color | nodes.ColorRGBA | None, bool]:
+def _colors(
+    mesh: Any, material: GltfMaterial | None, notes: ReadNotes
+) -> tuple[nodes.Color | nodes.ColorRGBA | None, bool]:
     """The colours of vertices or faces, and whether they are of faces; RGB if all are opaque, or count as such.
 
     Those of a glTF scale its material. White ones leave it as it is: they are left out, so that it can be fitted.
@@ -65,7 +67,7 @@ def _colors(mesh: Any, material: GltfMaterial | None) -> tuple[nodes.Color | nod
     on_faces = False
     if kind in ("vertex", "face"):
         on_faces = kind == "face"
-        colors = _colors_of_ply(mesh, kind, len(mesh.faces) if on_faces else len(mesh.vertices))
+        colors = _colors_of_ply(mesh, kind, len(mesh.faces) if on_faces else len(mesh.vertices), notes)
         if colors is None:
             colors = mesh.visual.face_colors if on_faces else mesh.visual.vertex_colors
     else:
@@ -78,7 +80,10 @@ def _colors(mesh: Any, material: GltfMaterial | None) -> tuple[nodes.Color | nod
             return None, False
     colors = np.asarray(colors)
     largest = np.iinfo(colors.dtype).max if np.issubdtype(colors.dtype, np.integer) else 1.0
-    values = np.clip(colors.astype(np.float64) / largest, 0.0, 1.0)
+    values = colors.astype(np.float64) / largest
+    if np.min(values, initial=0.0) < 0.0 or np.max(values, initial=0.0) > 1.0:
+        notes.clamped.append(f"colours of {'faces' if on_faces else 'vertices'} ({values.min():g} to {values.max():g})")
+        values = np.clip(values, 0.0, 1.0)
     if (material is not None and material.is_opaque) or np.all(values[:, 3:] == 1.0):
         values = values[:, :3]
     if material is not None and not material.is_stand_in:
@@ -88,7 +93,7 @@ def _colors(mesh: Any, material: GltfMaterial | None) -> tuple[nodes.Color | nod
     return (nodes.ColorRGBA if values.shape[1] == 4 else nodes.Color)(color=values), on_faces
 
 
-def _colors_of_ply(mesh: Any, element: str, count: int) -> np.ndarray | None:
+def _colors_of_ply(mesh: Any, element: str, count: int, notes: ReadNotes) -> np.ndarray | None:
     """Colours [count, 3 or 4] as the file has them, which trimesh cuts to 8 bits; None if they are of other types."""
     data = mesh.metadata.get("_ply_raw", {}).get(element, {}).get("data")
     if data is None:
@@ -101,7 +106,10 @@ def _colors_of_ply(mesh: Any, element: str, count: int) -> np.ndarray | None:
     if len(types) > 1 or not types <= {"u1", "u2", "f4", "f8"} or any(column.shape != (count,) for column in columns):
         return None
     colors = np.stack(columns, axis=1)
-    return colors / 255.0 if colors.dtype.kind == "f" and np.max(colors, initial=0) > 1 else colors
+    if colors.dtype.kind == "f" and np.max(colors, initial=0) > 1:
+        notes.simplified["ply colours above 1, read as 0 to 255"] += 1
+        return colors.astype(np.float64) / 255.0
+    return colors
 
 
 def _colors_beside_texture(mesh: Any) -> dict[str, Any]:

@@ -1,4 +1,7 @@
-"""Do ply and stl files hold what they announce? trimesh reads what there is of some files that were cut off."""
+"""Do ply and stl files hold what they announce? trimesh reads what there is of some files that were cut off.
+
+It knows the colours of a ply by one name only.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +16,41 @@ _STL_HEADER, _STL_TRIANGLE = 84, 50
 _NUMBER = rb"[ \t]+[-+]?(?:\d+(?:\.\d*)?|\.\d+|inf|nan)(?:e[-+]?\d+)?"
 _STL_VERTEX = re.compile(rb"vertex" + 3 * _NUMBER + rb"[ \t\r]*\n")
 _STL_NAME = re.compile(rb"solid\b.*")
+_PLY_COLORS = (b"red", b"green", b"blue", b"alpha")
+_OTHER_COLORS = ((b"diffuse_red", b"diffuse_green", b"diffuse_blue", b"diffuse_alpha"), (b"r", b"g", b"b", b"a"))
+"""What else programs call them."""
 _PLY_HEADER = re.compile(rb"\A(.*?^end_header)[ \t]*\r?\n", re.MULTILINE | re.DOTALL)
 
 
-def checked_ply(path: Path, data: bytes) -> None:
-    """Check that an ascii ply has the rows that its header announces, and rows their numbers; others pass.
+def checked_ply(path: Path, data: bytes) -> bytes:
+    """A ply whose colours have their usual names.
 
     Raises:
-        SceneFileError: it has not.
+        SceneFileError: an ascii ply has not the rows that its header announces, or rows have not their numbers.
     """
     header = _PLY_HEADER.match(data)
-    if header is None or not re.search(rb"^format[ \t]+ascii", header[1], re.MULTILINE):
+    if header is None:
+        return data
+    _check_rows(path, data, header)
+    elements = re.split(rb"^(?=element\b)", header[1], flags=re.MULTILINE)
+    return b"".join([*map(_with_usual_colors, elements), data[header.end(1) :]])
+
+
+def _with_usual_colors(element: bytes) -> bytes:
+    """The part of a header that describes an element, with `red` for what means it, unless that is there."""
+    names = set(re.findall(rb"^property[ \t]+\S+[ \t]+(\S+)", element, re.MULTILINE))
+    for others in _OTHER_COLORS:
+        if names.issuperset(others[:3]) and names.isdisjoint(_PLY_COLORS):
+            for other, usual in zip(others, _PLY_COLORS, strict=True):
+                named = rb"^(property[ \t]+\S+[ \t]+)" + other + rb"(?=\s)"
+                element = re.sub(named, rb"\g<1>" + usual, element, flags=re.MULTILINE)
+            break
+    return element
+
+
+def _check_rows(path: Path, data: bytes, header: re.Match[bytes]) -> None:
+    """Check that an ascii ply has the rows that its header announces, and rows their numbers; others pass."""
+    if not re.search(rb"^format[ \t]+ascii", header[1], re.MULTILINE):
         return
     elements: list[tuple[str, int, list[bool]]] = []  # name, rows, and whether each property is a list
     for line in header[1].splitlines():

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..scene.nodes import Material
 
-_MAX_EXPONENT = 128.0
+MAX_EXPONENT = 128.0
 """X3D's shininess 1 (17.2.2.4)."""
 _DIELECTRIC = 0.04
 """Reflectance of a dielectric seen straight on, as glTF assumes."""
@@ -41,7 +41,7 @@ def material_from_mtl(name: str, values: dict[str, Any], glossiness: float) -> M
         ambient_intensity=ambient_intensity,
         diffuse_color=diffuse,
         emissive_color=_color(values.get("ke"), (0.0, 0.0, 0.0)),
-        shininess=glossiness / _MAX_EXPONENT if "ns" in values else 0.2,
+        shininess=glossiness / MAX_EXPONENT if "ns" in values else 0.2,
         specular_color=specular,
         transparency=transparency,
     )
@@ -98,13 +98,13 @@ def material_from_gltf(name: str, description: dict[str, Any], *, see_through: b
     """
     factors = GltfFactors.of(description)
     roughness = factors.roughness
-    exponent = float(np.clip(2.0 / max(roughness, 1e-3) ** 4 - 2.0, 0.0, _MAX_EXPONENT))
+    exponent = float(np.clip(2.0 / max(roughness, 1e-3) ** 4 - 2.0, 0.0, MAX_EXPONENT))
     return _material(
         name,
         ambient_intensity=0.2,
         diffuse_color=factors.diffuse(factors.base[:3]),
         emissive_color=np.asarray(description.get("emissiveFactor", (0.0, 0.0, 0.0)), dtype=np.float64),
-        shininess=exponent / _MAX_EXPONENT,
+        shininess=exponent / MAX_EXPONENT,
         specular_color=factors.straight_on * (1.0 - roughness) * (exponent + 8.0) / 8.0,
         transparency=1.0 - float(factors.base[3]) if see_through else 0.0,
     )

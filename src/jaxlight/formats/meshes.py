@@ -56,7 +56,7 @@ def read_mesh(path: Path, data: bytes, file_format: Format) -> tuple[tuple[nodes
         elif file_format == "stl":
             data = checked_stl(path, data)
         elif file_format == "ply":
-            checked_ply(path, data)
+            data = checked_ply(path, data)
             # Vertices need to be repeated only for what stands with faces; repeated ones lose colours and normals.
             options["fix_texture"] = bool(_FACES_TEXCOORD.search(data))
         with _heard(notes):

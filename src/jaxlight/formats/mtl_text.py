@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
+from .mesh_materials import MAX_EXPONENT
 from .notes import ReadNotes
 from .plain_text import name_in, text_of
 
@@ -25,6 +26,8 @@ _NO_NUMBERS = {"-o": 0.0, "-s": 1.0, "-t": 0.0}
 """Numbers that leave a texture where it is."""
 _COLORS = ("ka", "kd", "ks", "ke")
 _NUMBERS = ("d", "illum", "ns", "tr")
+_LARGEST = {"ns": MAX_EXPONENT, "illum": math.inf}
+"""What is above is clamped; of other numbers, what is above 1. None may be negative."""
 
 
 class Library(NamedTuple):
@@ -72,6 +75,8 @@ def _values_of(material: str, keyword: str, words: list[str], notes: ReadNotes) 
         expected = " or ".join(f"{count} number{'s' * (count > 1)}" for count in counts)
         notes.remarks.append(f"{keyword} of material {material!r} is left out: {expected}, got {' '.join(words)!r:.60}")
         return ""
+    if not all(0.0 <= number <= _LARGEST.get(keyword.lower(), 1.0) for number in numbers):
+        notes.clamped.append(f"{keyword} of material {material!r} ({' '.join(words)})")
     return " ".join(words * (3 // len(words) if len(counts) > 1 else 1))
 
 

@@ -68,6 +68,7 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> ObjText:
     libraries: dict[str, None] = {}  # without what is named twice
     material = ""
     positions = array.array("d")
+    brightest = 0.0
     for line, statement in enumerate(_lines(text_of(data)), 1):
         keyword, *words = statement.split(None, 1) or ("",)
         rest = words[0].rstrip() if words else ""
@@ -80,6 +81,7 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> ObjText:
             sizes[keyword].add(size)
             if keyword == "v":
                 positions.extend(numbers[:3])
+                brightest = max([brightest, *numbers[3:6]])
             vertices.append(f"{keyword} {rest}" if size > 1 else f"{keyword} {rest} 0")
         elif keyword in ("f", "fo"):
             corners = rest.split()
@@ -105,6 +107,9 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> ObjText:
         bare += "/"
     if not colored and max(sizes["v"], default=0) >= 6:
         notes.unused["obj colours of vertices, as not all have some"] += 1
+    if colored and brightest > 1.0:
+        notes.simplified["obj colours above 1, read as 0 to 255"] += 1
+        vertices = [_in_unit_colors(statement) for statement in vertices]
     texts: list[str] = []
     for name, corners_of in faces.items():
         parsed = {corner: _parsed(path, line, corner, counts) for corner, line in first_line[name].items()}
@@ -134,6 +139,14 @@ def _numbers(path: Path, line: int, keyword: str, rest: str) -> list[float]:
         message = f"a {keyword} has {len(numbers)} numbers, expected {_NEEDED[keyword]} or more"
         raise SceneFileError(path, line, message)
     return numbers
+
+
+def _in_unit_colors(statement: str) -> str:
+    """A vertex whose colour is given in 0 to 255, with one in 0 to 1; other statements stay."""
+    keyword, *numbers = statement.split()
+    if keyword != "v":
+        return statement
+    return " ".join([keyword, *numbers[:3], *(repr(float(number) / 255.0) for number in numbers[3:6])])
 
 
 def _absolute(path: Path, line: int, corner: str, counts: dict[str, int]) -> str:
