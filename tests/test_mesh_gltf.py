@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from pathlib import Path
 
@@ -227,3 +228,125 @@ def test_primitives_that_share_numbers_are_bounded_together(
         SceneFileError, match=r"its primitives have \d+ entries of accessors; .* at most 10000 are read"
     ):
         one_shape(tmp_path, rewritten(glb, repeated))
+
+
+def attributes(header: dict) -> dict:
+    return header["meshes"][0]["primitives"][0]["attributes"]
+
+
+def textured(header: dict, use: object) -> None:
+    header["materials"][0]["pbrMetallicRoughness"] = {"baseColorTexture": use}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda h: h["accessors"][0].update(count="three"),
+            "accessors[0].count: expected a whole number >= 0, got 'three'",
+        ),
+        (lambda h: h["accessors"][0].update(type="FOO"), "accessors[0].type: expected 'SCALAR' or 'VEC2' or"),
+        (lambda h: h["accessors"][0].pop("type"), "accessors[0]: expected an object with type, got {"),
+        (lambda h: h["accessors"][0].update(componentType=[]), "accessors[0].componentType: expected 5120 or 5121 or"),
+        (
+            lambda h: h["accessors"][0].update(byteOffset=-4),
+            "accessors[0].byteOffset: expected a whole number >= 0, got -4",
+        ),
+        (lambda h: h["accessors"][0].update(bufferView=99), "accessor 0 has 99 of the file's"),
+        (
+            lambda h: h["bufferViews"][0].update(byteOffset=-36),
+            "bufferViews[0].byteOffset: expected a whole number >= 0",
+        ),
+        (lambda h: h["bufferViews"][0].update(buffer=5), "bufferView 0 has 5 of the file's 1 buffers"),
+        (lambda h: h["bufferViews"][0].pop("byteLength"), "bufferViews[0]: expected an object with byteLength"),
+        (lambda h: h["images"][0].update(bufferView="a"), "image 0 has 'a' of the file's"),
+        (lambda h: h["textures"][0].update(source=1), "texture 0 has 1 of the file's 1 images"),
+        (lambda h: h["meshes"][0].update(name={"a": 1}), "meshes[0].name: expected a string, got {'a': 1}"),
+        (lambda h: h["meshes"][0].pop("primitives"), "meshes[0]: expected an object with primitives, got {"),
+        (lambda h: h["meshes"][0]["primitives"][0].update(material=9), "mesh 0 has 9 of the file's 1 materials"),
+        (lambda h: h["meshes"][0]["primitives"][0].update(material=-1), "mesh 0 has -1 of the file's 1 materials"),
+        (lambda h: h["meshes"][0]["primitives"][0].update(mode="4"), "primitives[0].mode: expected 0 or 1 or"),
+        (
+            lambda h: h["meshes"][0]["primitives"][0].pop("attributes"),
+            "primitives[0]: expected an object with attributes",
+        ),
+        (lambda h: h["meshes"][0]["primitives"][0]["attributes"].pop("POSITION"), "expected an object with POSITION"),
+        (lambda h: h["nodes"][0].update(scale=[1, 1]), "nodes[0].scale: expected 3 finite numbers, got [1, 1]"),
+        (lambda h: h["nodes"][0].update(scale="big"), "nodes[0].scale: expected 3 finite numbers, got 'big'"),
+        (lambda h: h["nodes"][0].update(rotation=[0, 0, 1]), "nodes[0].rotation: expected 4 finite numbers"),
+        (lambda h: h["nodes"][0].update(translation=[1] * 4), "nodes[0].translation: expected 3 finite numbers"),
+        (lambda h: h["nodes"][0].update(matrix=[1, 2]), "nodes[0].matrix: expected 16 finite numbers, got [1, 2]"),
+        (lambda h: h["nodes"][0].update(children=1), "nodes[0].children: expected a list, got 1"),
+        (lambda h: h["nodes"][0].update(scale=[10**30, 0, math.inf]), "nodes[0].scale: expected 3 finite numbers"),
+        (lambda h: h["bufferViews"][0].update(byteOffset=10**9), "bufferView 0 ends after 10"),
+        (lambda h: h["buffers"][0].update(byteLength=10**9), "buffer 0 has 1000000000 bytes, the file holds"),
+        (lambda h: h["accessors"][0].update(count=4), "mesh 0 has 4 corners of triangles; each needs 3"),
+        (lambda h: h["accessors"][0].update(type="VEC2", count=3), "mesh 0 has indices of VEC2, expected SCALAR"),
+        (lambda h: h["accessors"][0].update(componentType=5126), "mesh 0 has indices of floats"),
+        (lambda h: attributes(h).update(POSITION=0), "mesh 0 has a POSITION of SCALAR, expected VEC3"),
+        (lambda h: attributes(h).update(COLOR_0=2), "mesh 0 has a COLOR_0 of VEC2, expected VEC3 or VEC4"),
+        (lambda h: h["accessors"][1].update(count=0), "mesh 0 has a POSITION without entries"),
+        (lambda h: h.update(scene=3), "header has 3 of the file's 1 scenes"),
+        (lambda h: textured(h, {"index": "0"}), "material 0 has '0' of the file's 1 textures"),
+        (
+            lambda h: textured(h, {}),
+            "materials[0].pbrMetallicRoughness.baseColorTexture: expected an object with index",
+        ),
+        (lambda h: textured(h, 0), "materials[0].pbrMetallicRoughness.baseColorTexture: expected an object, got 0"),
+        (
+            lambda h: changed_texture(h, {"scale": [1]}),
+            "KHR_texture_transform.scale: expected 2 finite numbers, got [1]",
+        ),
+    ],
+)
+def test_values_of_other_types_are_named(tmp_path: Path, glb: bytes, change: object, message: str) -> None:
+    with pytest.raises(SceneFileError, match=f"a.glb: .*{re.escape(message)}"):
+        one_shape(tmp_path, rewritten(glb, change))
+
+
+@pytest.mark.parametrize(
+    ("factors", "message"),
+    [
+        ({"roughnessFactor": None}, "roughnessFactor: expected a finite number, got None"),
+        ({"metallicFactor": math.nan}, "metallicFactor: expected a finite number, got nan"),
+        ({"baseColorFactor": "red"}, "baseColorFactor: expected 4 finite numbers, got 'red'"),
+        ({"baseColorFactor": [0.5, 0.5]}, "baseColorFactor: expected 4 finite numbers, got [0.5, 0.5]"),
+    ],
+)
+def test_factors_of_other_types_are_named(tmp_path: Path, glb: bytes, factors: dict, message: str) -> None:
+    where = f"glTF materials[0].pbrMetallicRoughness.{message}"
+    with pytest.raises(SceneFileError, match=re.escape(where)):
+        one_shape(tmp_path, rewritten(glb, lambda h: h["materials"][0].update(pbrMetallicRoughness=factors)))
+
+
+def test_factors_out_of_range_are_clamped_and_named(tmp_path: Path, glb: bytes) -> None:
+    def change(header: dict) -> None:
+        factors = {"baseColorFactor": [2, 0.5, -1, 1], "roughnessFactor": 1, "metallicFactor": 3}
+        header["materials"] = [{"pbrMetallicRoughness": factors, "emissiveFactor": [0, 0, 4]}]
+
+    said = r"clamped 3 values .*Roughness.baseColorFactor, .*Roughness.metallicFactor, .*materials\[0\].emissiveFactor$"
+    with pytest.warns(SceneFileWarning, match=said):
+        material = one_shape(tmp_path, rewritten(glb, change)).appearance.material
+    assert (material.diffuse_color, material.emissive_color) == ((1, 0.5, 0), (0, 0, 1))
+
+
+def test_a_node_with_a_camera_keeps_its_mesh_and_children(tmp_path: Path, glb: bytes) -> None:
+    def change(header: dict) -> None:
+        header["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.5, "znear": 0.1}}]
+        header["nodes"] = [{"camera": 0, "translation": [1, 0, 0], "children": [1]}, {"camera": 0, "mesh": 0}]
+        header["scenes"] = [{"nodes": [0]}]
+
+    (tmp_path / "a.glb").write_bytes(rewritten(glb, change))
+    with pytest.warns(SceneFileWarning, match="glTF cameras x1"):
+        (placed,) = load(tmp_path / "a.glb").document.shapes
+    assert placed.to_world[:, 3].tolist() == [1, 0, 0]
+
+
+def test_large_whole_numbers_are_numbers(tmp_path: Path, glb: bytes) -> None:
+    def change(header: dict) -> None:
+        glossy = {"glossinessFactor": 10**30}
+        header["materials"] = [{"extensions": {GLOSSY: glossy}}]
+        header["nodes"][0]["scale"] = [10**20] * 3
+
+    with pytest.warns(SceneFileWarning, match="glossinessFactor"):
+        assert one_shape(tmp_path, rewritten(glb, change)).appearance.material.shininess == 1

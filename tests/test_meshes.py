@@ -331,13 +331,16 @@ def test_an_unlit_material_gives_way_to_the_colours_of_its_own_mesh_only(
         (lambda h: h.update(extensionsRequired=["KHR_draco_mesh_compression"]), "needs the glTF extension KHR_draco"),
         (lambda h: h["accessors"][0].update(count=10**12), "announces 1.*, far more than its"),
         (lambda h: h["accessors"].append({"count": 10**6, "type": "VEC3", "componentType": 5126}), "announces 1"),
-        (lambda h: h["accessors"][0].update(count=float("inf")), "malformed glTF header: OverflowError"),
+        (lambda h: h["accessors"][0].update(count=float("inf")), r"accessors\[0\].count: expected a whole .* got inf"),
         (
             lambda h: [a.update(count=s * 10**12) for a, s in zip(h["accessors"], (1, -1), strict=False)],
-            "accessor 1 has -1000000",
+            r"glTF accessors\[1\].count: expected a whole number >= 0, got -1000000",
         ),
-        (lambda h: h["accessors"][0].update(count=-1), "accessor 0 has -1 entries"),
-        (lambda h: h.update(materials=[1]), "malformed glTF header"),
+        (
+            lambda h: h["accessors"][0].update(count=-1),
+            r"glTF accessors\[0\].count: expected a whole number >= 0, got -1",
+        ),
+        (lambda h: h.update(materials=[1]), r"glTF materials\[0\]: expected an object, got 1"),
         (lambda h: h.update(scenes=[{"nodes": []}]), "holds no triangles"),
         (lambda h: h["accessors"][0].update(sparse={"count": 1}), "glTF accessor 0 is sparse"),
         (lambda h: h["bufferViews"][0].update(byteLength=3), "which end after .* bytes; its bufferView has 3"),
@@ -345,7 +348,10 @@ def test_an_unlit_material_gives_way_to_the_colours_of_its_own_mesh_only(
         (lambda h: h["nodes"][0].update(mesh="x"), "glTF node 0 has 'x' of"),
         (lambda h: h["nodes"][0].update(children=[-1]), "glTF node 0 has -1 of the file's"),
         (lambda h: h["scenes"][0].update(nodes=[77]), "glTF scene 0 has 77 of"),
-        (lambda h: h["nodes"][0].update(translation=[0, math.nan, 0]), "node 0: expected finite .* its translation"),
+        (
+            lambda h: h["nodes"][0].update(translation=[0, math.nan, 0]),
+            r"nodes\[0\].translation: expected 3 finite numbers",
+        ),
         (lambda h: h["meshes"][0]["primitives"][0].update(indices=88), "glTF mesh 0 has 88 of"),
     ],
 )

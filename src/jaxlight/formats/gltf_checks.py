@@ -3,48 +3,68 @@
 from __future__ import annotations
 
 import collections
-import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .errors import SceneFileError
+from .gltf_schema import COMPONENT_BYTES, COMPONENTS, LIGHTS, TRANSFORM, UNLIT, check_types
 from .mesh_materials import SPECULAR_GLOSSINESS
 from .notes import ReadNotes
 
-UNLIT, TRANSFORM = "KHR_materials_unlit", "KHR_texture_transform"
-_LIGHTS = "KHR_lights_punctual"
 READ_EXTENSIONS = (UNLIT, SPECULAR_GLOSSINESS, TRANSFORM, "EXT_texture_webp")
 _SHARED = 4
 """Entries of accessors a byte of the file."""
 _MOST_ENTRIES = 2**24
 """Of all primitives together, where primitives share accessors."""
-_COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
-_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _UNREAD_MODES = {2: "LINE_LOOP", 3: "LINE_STRIP", 6: "TRIANGLE_FAN"}
 """Of primitives; others without triangles are noted where they would be placed."""
-_MOVES = ("translation", "rotation", "scale", "matrix")
+_TYPES = {"POSITION": ("VEC3",), "NORMAL": ("VEC3",), "TEXCOORD": ("VEC2",), "COLOR": ("VEC3", "VEC4")}
+"""Of attributes, by their names without the number of the set."""
+FLOAT = 5126
+_ROWS = {
+    "accessors": {"bufferView": "bufferViews"},
+    "bufferViews": {"buffer": "buffers"},
+    "images": {"bufferView": "bufferViews"},
+    "nodes": {"mesh": "meshes"},
+    "textures": {"sampler": "samplers", "source": "images"},
+}
+"""What the entries of a list name by its number in another list."""
+_UNIT_FACTORS = {
+    "baseColorFactor", "diffuseFactor", "emissiveFactor", "glossinessFactor", "metallicFactor", "roughnessFactor",
+    "specularFactor",
+}  # fmt: skip
 
 
-def check_header(path: Path, header: dict[str, Any], size: int, notes: ReadNotes) -> None:
+def check_header(path: Path, header: dict[str, Any], size: int, held: int, notes: ReadNotes) -> None:
     """Refuse what cannot be read, and note what is not.
 
+    Args:
+        path: of the file.
+        header: of which factors are clamped here, and nodes scaled to nothing and cameras are taken out.
+        size: bytes of the file.
+        held: those of them that stand behind the header.
+        notes: gets what is not read.
+
     Raises:
-        SceneFileError: an extension is needed that is not read; numbers that stand nowhere in the file, or somewhere
-            else than is said; a node with a number that is none, or that names what the file has not.
+        SceneFileError: an extension is needed that is not read; values of other types than glTF states; numbers that
+            stand nowhere in the file, or somewhere else than is said; names of what the file has not.
     """
+    check_types(path, header)
     for name in header.get("extensionsRequired", []):
         if name not in READ_EXTENSIONS:
             message = f"needs the glTF extension {name}, which jaxlight does not read; it reads"
             raise SceneFileError(path, None, f"{message} {', '.join(READ_EXTENSIONS)}")
-    counts = [int(accessor["count"]) for accessor in header.get("accessors", [])]
-    for row, count in enumerate(counts):
-        if count < 0:
-            raise SceneFileError(path, None, f"glTF accessor {row} has {count} entries")
+    counts = [accessor["count"] for accessor in header.get("accessors", [])]
     # An entry takes a byte or more; what several accessors read may be the same.
     if sum(counts) > _SHARED * size:
         raise SceneFileError(path, None, f"announces {sum(counts)} entries, far more than its {size} bytes can hold")
+    for kind, fields in _ROWS.items():
+        for row, entry in enumerate(header.get(kind, [])):
+            for field, named in fields.items():
+                check_rows(path, f"{kind[:-1]} {row}", [entry[field]] if field in entry else [], header, named)
+    _check_buffers(path, header, held)
     for row, accessor in enumerate(header.get("accessors", [])):
         _check_accessor(path, header, row, accessor)
     for row, mesh in enumerate(header.get("meshes", [])):
@@ -61,28 +81,44 @@ def check_header(path: Path, header: dict[str, Any], size: int, notes: ReadNotes
         _check_node(path, header, row, node, notes)
     for row, scene in enumerate(header.get("scenes", [])):
         check_rows(path, f"scene {row}", scene.get("nodes", []), header, "nodes")
+    if "scenes" in header:
+        check_rows(path, "header", [header.get("scene", 0)], header, "scenes")
+    for row, material in enumerate(header.get("materials", [])):
+        _clamp_factors(f"glTF materials[{row}]", material, notes)
     for kind in ("animations", "skins", "cameras"):
         if header.get(kind):
             notes.skipped[f"glTF {kind}"] += len(header[kind])
-    lights = header.get("extensions", {}).get(_LIGHTS, {}).get("lights", [])
+    lights = header.get("extensions", {}).get(LIGHTS, {}).get("lights", [])
     if lights:
         notes.skipped["glTF lights"] += len(lights)
     used = collections.Counter(name for m in header.get("materials", []) for name in m.get("extensions", {}))
     used.update(name for name in header.get("extensionsUsed", []) if name not in used)
     for name, count in used.items():
-        if name not in (*READ_EXTENSIONS, _LIGHTS):
+        if name not in (*READ_EXTENSIONS, LIGHTS):
             notes.unused[f"glTF {name}"] += count
+
+
+def _check_buffers(path: Path, header: dict[str, Any], held: int) -> None:
+    """Whether the first buffer, if it has no file of its own, stands in this one, and views lie in their buffers."""
+    buffers = header.get("buffers", [])
+    if buffers and "uri" not in buffers[0] and buffers[0]["byteLength"] > held:
+        message = f"glTF buffer 0 has {buffers[0]['byteLength']} bytes, the file holds {held} of them: truncated?"
+        raise SceneFileError(path, None, message)
+    for row, view in enumerate(header.get("bufferViews", [])):
+        end, whole = view.get("byteOffset", 0) + view["byteLength"], buffers[view["buffer"]]["byteLength"]
+        if end > whole:
+            raise SceneFileError(path, None, f"glTF bufferView {row} ends after {end} bytes; its buffer has {whole}")
 
 
 def _check_accessor(path: Path, header: dict[str, Any], row: int, accessor: dict[str, Any]) -> None:
     """Whether all of its numbers lie within its view of the buffer."""
-    if "bufferView" not in accessor or accessor["componentType"] not in _COMPONENT_BYTES:
+    if "bufferView" not in accessor:
         return
     view = header["bufferViews"][accessor["bufferView"]]
-    entry = _COMPONENT_BYTES[accessor["componentType"]] * _COMPONENTS[accessor["type"]]
-    count, stride = int(accessor["count"]), int(view.get("byteStride", entry))
-    needed = int(accessor.get("byteOffset", 0)) + (count - 1) * stride + entry if count else 0
-    if needed > int(view["byteLength"]):
+    entry = COMPONENT_BYTES[accessor["componentType"]] * COMPONENTS[accessor["type"]]
+    count, stride = accessor["count"], view.get("byteStride", entry)
+    needed = accessor.get("byteOffset", 0) + (count - 1) * stride + entry if count else 0
+    if needed > view["byteLength"]:
         message = f"glTF accessor {row} has {count} entries of {entry} bytes, which end after {needed} bytes; its"
         raise SceneFileError(path, None, f"{message} bufferView has {view['byteLength']}")
 
@@ -94,11 +130,33 @@ def _check_mesh(path: Path, header: dict[str, Any], row: int, mesh: dict[str, An
             notes.skipped[f"glTF {_UNREAD_MODES[mode]}"] += 1
         used = _used(primitive)
         check_rows(path, f"mesh {row}", used, header, "accessors")
+        material = [primitive["material"]] if "material" in primitive else []
+        check_rows(path, f"mesh {row}", material, header, "materials")
         for accessor in used:
             if "sparse" in header["accessors"][accessor]:
                 raise SceneFileError(path, None, f"glTF accessor {accessor} is sparse; jaxlight reads dense ones")
+        _check_triangles(path, header, f"glTF mesh {row}", primitive)
     if any(mesh.get("weights", ())):
         notes.unused["glTF weights of morph targets (read as 0)"] += 1
+
+
+def _check_triangles(path: Path, header: dict[str, Any], owner: str, primitive: dict[str, Any]) -> None:
+    """Whether the accessors of a primitive are of the kinds that their use asks for, and triangles have all corners."""
+    for name, accessor in primitive["attributes"].items():
+        found, allowed = header["accessors"][accessor]["type"], _TYPES.get(name.partition("_")[0])
+        if allowed is not None and found not in allowed:
+            raise SceneFileError(path, None, f"{owner} has a {name} of {found}, expected {' or '.join(allowed)}")
+    corners = header["accessors"][primitive["attributes"]["POSITION"]]
+    if corners["count"] == 0:
+        raise SceneFileError(path, None, f"{owner} has a POSITION without entries")
+    if "indices" in primitive:
+        corners = header["accessors"][primitive["indices"]]
+        if corners["type"] != "SCALAR":
+            raise SceneFileError(path, None, f"{owner} has indices of {corners['type']}, expected SCALAR")
+        if corners["componentType"] == FLOAT:
+            raise SceneFileError(path, None, f"{owner} has indices of floats, expected integers")
+    if primitive.get("mode", 4) == 4 and corners["count"] % 3:
+        raise SceneFileError(path, None, f"{owner} has {corners['count']} corners of triangles; each needs 3")
 
 
 def _used(primitive: dict[str, Any]) -> list[Any]:
@@ -107,19 +165,28 @@ def _used(primitive: dict[str, Any]) -> list[Any]:
 
 
 def _check_node(path: Path, header: dict[str, Any], row: int, node: dict[str, Any], notes: ReadNotes) -> None:
-    """What moves to where nothing can be seen is left out."""
+    """What moves to where nothing can be seen is left out, and so are cameras: trimesh skips what else a node has."""
+    node.pop("camera", None)
     check_rows(path, f"node {row}", node.get("children", []), header, "nodes")
-    check_rows(path, f"node {row}", [node["mesh"]] if "mesh" in node else [], header, "meshes")
     if any(node.get("weights", ())):
         notes.unused["glTF weights of morph targets (read as 0)"] += 1
-    for field in _MOVES:
-        if not all(math.isfinite(number) for number in node.get(field, ())):
-            message = f"glTF node {row}: expected finite numbers for its {field}, got {node[field]}"
-            raise SceneFileError(path, None, message)
-    linear = np.reshape(node["matrix"], (4, 4))[:3, :3] if "matrix" in node else np.diag(node.get("scale", (1, 1, 1)))
+    linear = np.diag(np.asarray(node.get("scale", (1, 1, 1)), dtype=np.float64))
+    if "matrix" in node:
+        linear = np.asarray(node["matrix"], dtype=np.float64).reshape(4, 4)[:3, :3]
     if np.linalg.matrix_rank(linear) < 3:
         notes.simplified["glTF node scaled to nothing, left out with its children"] += 1
         header["nodes"][row] = {}
+
+
+def _clamp_factors(where: str, owner: dict[str, Any], notes: ReadNotes) -> None:
+    """Bring the factors of a material into [0, 1]."""
+    for name, value in owner.items():
+        if name in _UNIT_FACTORS:
+            owner[name] = np.clip(np.asarray(value, dtype=np.float64), 0.0, 1.0).tolist()
+            if owner[name] != value:
+                notes.clamped.append(f"{where}.{name}")
+        elif name in ("pbrMetallicRoughness", "extensions", SPECULAR_GLOSSINESS):
+            _clamp_factors(f"{where}.{name}", value, notes)
 
 
 def check_rows(path: Path, owner: str, rows: list[Any], header: dict[str, Any], kind: str) -> None:

@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 
 from .errors import SceneFileError
-from .gltf_checks import TRANSFORM, UNLIT, check_header, check_rows
+from .gltf_checks import FLOAT, TRANSFORM, UNLIT, check_header, check_rows
 from .mesh_materials import SPECULAR_GLOSSINESS, GltfFactors
 from .notes import ReadNotes
 
 _JSON_CHUNK = 0x4E4F534A
 _UNUSED_TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")
 _WEBP = "EXT_texture_webp"
-_CLAMP, _MIRROR, _FLOAT = 33071, 33648, 5126
+_CLAMP, _MIRROR = 33071, 33648
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,7 +102,7 @@ def numbered_materials(path: Path, data: bytes, notes: ReadNotes) -> tuple[bytes
         raise SceneFileError(path, None, "not a glTF 2 binary file, or truncated in its header")
     try:
         header = json.loads(data[20 : 20 + length])
-        check_header(path, header, len(data), notes)
+        check_header(path, header, len(data), max(len(data) - 28 - length, 0), notes)
         materials = _simplified_materials(path, header, notes)
     except (ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError) as error:
         if isinstance(error, SceneFileError):
@@ -162,7 +162,7 @@ def _textured(
             if which == 0:
                 continue
             raise SceneFileError(path, None, f"glTF material {row} needs {name}, which a mesh has not")
-        if header["accessors"][attributes[name]]["componentType"] != _FLOAT:
+        if header["accessors"][attributes[name]]["componentType"] != FLOAT:
             raise SceneFileError(path, None, f"glTF material {row} has a {name} of integers; jaxlight reads floats")
         primitive["attributes"] = {**attributes, "TEXCOORD_0": attributes[name]}
     check_rows(path, f"material {row}", [use["index"]], header, "textures")
