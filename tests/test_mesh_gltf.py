@@ -286,6 +286,18 @@ def textured(header: dict, use: object) -> None:
         (lambda h: attributes(h).update(POSITION=0), "mesh 0 has a POSITION of SCALAR, expected VEC3"),
         (lambda h: attributes(h).update(COLOR_0=2), "mesh 0 has a COLOR_0 of VEC2, expected VEC3 or VEC4"),
         (lambda h: h["accessors"][1].update(count=0), "mesh 0 has a POSITION without entries"),
+        (
+            lambda h: h["bufferViews"][1].update(byteStride=8),
+            "accessor 1 has entries of 12 bytes; its bufferView has a byteStride of 8",
+        ),
+        (lambda h: h["bufferViews"][1].update(byteStride=0), "accessor 1 has entries of 12 bytes; its bufferView has"),
+        (lambda h: h["asset"].update(version="1.0"), "glTF of version 1.0; jaxlight reads 2.0"),
+        (lambda h: h["asset"].update(version="two"), "glTF of version two; jaxlight reads 2.0"),
+        (
+            lambda h: h["asset"].update(version="2.1", minVersion="2.1"),
+            "needs a reader of glTF 2.1; jaxlight reads 2.0",
+        ),
+        (lambda h: h["asset"].update(minVersion="3.0"), "needs a reader of glTF 3.0; jaxlight reads 2.0"),
         (lambda h: h.update(scene=3), "header has 3 of the file's 1 scenes"),
         (lambda h: textured(h, {"index": "0"}), "material 0 has '0' of the file's 1 textures"),
         (
@@ -350,3 +362,17 @@ def test_large_whole_numbers_are_numbers(tmp_path: Path, glb: bytes) -> None:
 
     with pytest.warns(SceneFileWarning, match="glossinessFactor"):
         assert one_shape(tmp_path, rewritten(glb, change)).appearance.material.shininess == 1
+
+
+def test_later_versions_that_need_no_later_reader_are_read(tmp_path: Path, glb: bytes) -> None:
+    change = {"version": "2.10", "minVersion": "2.0"}
+    assert one_shape(tmp_path, rewritten(glb, lambda header: header["asset"].update(change))).geometry is not None
+
+
+def test_texture_coordinates_of_integers_without_a_texture_are_left_out(tmp_path: Path, glb: bytes) -> None:
+    def change(header: dict) -> None:
+        header["materials"] = [{}]
+        header["accessors"][attributes(header)["TEXCOORD_0"]] |= {"componentType": 5123, "normalized": True}
+
+    with pytest.warns(SceneFileWarning, match="fields not used: glTF TEXCOORD_0 of integers x1"):
+        assert one_shape(tmp_path, rewritten(glb, change)).geometry.tex_coord is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import re
 from pathlib import Path
 from typing import Any
 
@@ -48,10 +49,11 @@ def check_header(path: Path, header: dict[str, Any], size: int, held: int, notes
         notes: gets what is not read.
 
     Raises:
-        SceneFileError: an extension is needed that is not read; values of other types than glTF states; numbers that
-            stand nowhere in the file, or somewhere else than is said; names of what the file has not.
+        SceneFileError: a version or an extension is needed that is not read; values of other types than glTF states;
+            numbers that stand nowhere in the file, or somewhere else than is said; names of what the file has not.
     """
     check_types(path, header)
+    _check_version(path, header.get("asset", {}))
     for name in header.get("extensionsRequired", []):
         if name not in READ_EXTENSIONS:
             message = f"needs the glTF extension {name}, which jaxlight does not read; it reads"
@@ -98,6 +100,15 @@ def check_header(path: Path, header: dict[str, Any], size: int, held: int, notes
             notes.unused[f"glTF {name}"] += count
 
 
+def _check_version(path: Path, asset: dict[str, Any]) -> None:
+    """A later version 2.x may be read by what reads 2.0, unless it says otherwise."""
+    version, needed = asset.get("version", "2.0"), asset.get("minVersion", "2.0")
+    if not re.fullmatch(r"2\.\d+", version):
+        raise SceneFileError(path, None, f"glTF of version {version:.40}; jaxlight reads 2.0")
+    if needed != "2.0":
+        raise SceneFileError(path, None, f"needs a reader of glTF {needed:.40}; jaxlight reads 2.0")
+
+
 def _check_buffers(path: Path, header: dict[str, Any], held: int) -> None:
     """Whether the first buffer, if it has no file of its own, stands in this one, and views lie in their buffers."""
     buffers = header.get("buffers", [])
@@ -111,12 +122,15 @@ def _check_buffers(path: Path, header: dict[str, Any], held: int) -> None:
 
 
 def _check_accessor(path: Path, header: dict[str, Any], row: int, accessor: dict[str, Any]) -> None:
-    """Whether all of its numbers lie within its view of the buffer."""
+    """Whether all of its numbers lie within its view of the buffer, one entry behind the other."""
     if "bufferView" not in accessor:
         return
     view = header["bufferViews"][accessor["bufferView"]]
     entry = COMPONENT_BYTES[accessor["componentType"]] * COMPONENTS[accessor["type"]]
     count, stride = accessor["count"], view.get("byteStride", entry)
+    if stride < entry:
+        message = f"glTF accessor {row} has entries of {entry} bytes; its bufferView has a byteStride of {stride}"
+        raise SceneFileError(path, None, message)
     needed = accessor.get("byteOffset", 0) + (count - 1) * stride + entry if count else 0
     if needed > view["byteLength"]:
         message = f"glTF accessor {row} has {count} entries of {entry} bytes, which end after {needed} bytes; its"

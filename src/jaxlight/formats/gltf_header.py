@@ -11,6 +11,7 @@ import dataclasses
 import json
 import math
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +135,7 @@ def _simplified_materials(path: Path, header: dict[str, Any], notes: ReadNotes) 
             materials.append(_textured(path, header, row, material, use, notes))
         else:
             materials.append(material)
+            _leave_integers_out(header, row, notes)
     bare = [
         primitive
         for mesh in header.get("meshes", [])
@@ -149,6 +151,20 @@ def _simplified_materials(path: Path, header: dict[str, Any], notes: ReadNotes) 
     return materials
 
 
+def _primitives_of(header: dict[str, Any], row: int) -> Iterator[dict[str, Any]]:
+    """The primitives that have the material of this number."""
+    return (p for mesh in header.get("meshes", []) for p in mesh["primitives"] if p.get("material") == row)
+
+
+def _leave_integers_out(header: dict[str, Any], row: int, notes: ReadNotes) -> None:
+    """Leave out texture coordinates of integers, of which trimesh makes no fractions, where no texture needs them."""
+    for primitive in _primitives_of(header, row):
+        accessor = primitive["attributes"].get("TEXCOORD_0")
+        if accessor is not None and header["accessors"][accessor]["componentType"] != FLOAT:
+            del primitive["attributes"]["TEXCOORD_0"]
+            notes.unused["glTF TEXCOORD_0 of integers"] += 1
+
+
 def _textured(
     path: Path, header: dict[str, Any], row: int, material: GltfMaterial, use: dict[str, Any], notes: ReadNotes
 ) -> GltfMaterial:
@@ -156,7 +172,7 @@ def _textured(
     transform = use.get("extensions", {}).get(TRANSFORM)
     which = int((transform or {}).get("texCoord", use.get("texCoord", 0)))
     name = f"TEXCOORD_{which}"
-    for primitive in (p for mesh in header.get("meshes", []) for p in mesh["primitives"] if p.get("material") == row):
+    for primitive in _primitives_of(header, row):
         attributes = primitive["attributes"]
         if name not in attributes:
             if which == 0:
