@@ -253,6 +253,8 @@ TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\nvn 0 0 1\
         ("f 1 2 \\\n 0", r"a.obj:9: a face has the index 0 \(v\)"),
         ("# one\\\nf 1 2 3\nf 1 2 4", "a.obj:11: .*the v index 4, the file 3 v"),
         ("f -4 -3 -2\nv 2 0 0", "a.obj:9: a face has the v index -4, but 3 v stand before it"),
+        (f"f 1 2 {'9' * 5000}", "a.obj:9: .*out of range: a face has the v index 9{40}, the file 3 v"),
+        (f"f 1 2 -{'9' * 5000}", "a.obj:9: a face has the v index -9{39}, but 3 v stand before it"),
         ("f 1/-5 2/2 3/3\nvt 0 0", "a.obj:9: a face has the vt index -5, but 4 vt"),
         ("f 1 2 3\nf 1 2", "a.obj:10: a face has 2 corners"),
         ("f 1 2 3\nf 1 2 x", "a.obj:10: a face has the corner 'x'; allowed are v, v/vt"),
@@ -306,6 +308,44 @@ def test_an_ascii_ply_that_holds_less_than_it_announces_is_an_error(
     (tmp_path / "a.ply").write_text(ply_text(rows + face_rows, announced))
     with pytest.raises(SceneFileError, match=message):
         load(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("binary", [False, True])
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ("vertex 4", "vertex four", "a.ply:3: expected element NAME COUNT, got 'element vertex four'"),
+        ("vertex 4", "vertex -4", "a.ply:3: expected element NAME COUNT, got 'element vertex -4'"),
+        ("vertex 4", f"vertex {'9' * 5000}", "a.ply:3: expected element NAME COUNT, got 'element vertex 99"),
+        (
+            "element vertex 4\n",
+            "",
+            "a.ply:3: expected property TYPE NAME or .* behind an element, got 'property float x'",
+        ),
+        ("float y", "flaot y", "a.ply:5: expected property TYPE NAME or .*, got 'property flaot y'"),
+        ("list uchar", "list float", "a.ply:8: expected property TYPE NAME or .*, got 'property list float int"),
+        ("float z", "float w", "a.ply:3: the vertices have no property z"),
+        ("property list uchar int vertex_indices\n", "", "a.ply:7: the faces have no list vertex_indices"),
+        (" 1.0", " 2.0", "a.ply:2: expected the line format ascii or binary_little_endian or .*, got 'format"),
+        ("format", "comment", "a ply header without the line format ascii or"),
+        ("end_header", "end", "a ply without the line end_header"),
+    ],
+)
+def test_a_damaged_ply_header_is_an_error_with_line(
+    tmp_path: Path, before: str, after: str, message: str, binary: bool
+) -> None:
+    data = ply("binary_little_endian" if binary else "ascii", [(0, 1, 2)]).replace(b"vertex 5", b"vertex 4")
+    assert before.encode() in data
+    (tmp_path / "a.ply").write_bytes(data.replace(before.encode(), after.encode(), 1))
+    with pytest.raises(SceneFileError, match=message):
+        load(tmp_path / "a.ply")
+
+
+def test_a_ply_header_is_read_whatever_its_comments_and_their_places(tmp_path: Path) -> None:
+    data = ply("ascii", [(0, 1, 2)]).replace(b"vertex_indices", b"corners")
+    data = data.replace(b"ply\n", "ply\ncomment café\n\n".encode("latin-1"), 1)
+    (tmp_path / "a.ply").write_bytes(data)
+    assert len(triangles(shapes_of(tmp_path / "a.ply")[0].geometry)) == 1
 
 
 COLORS = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255)]

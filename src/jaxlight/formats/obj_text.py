@@ -31,6 +31,8 @@ LIBRARY = "//"
 """By which all of them are asked for at once: the name of no file."""
 _FILLED = "obj face without vt beside some with, now at vt 0 0"
 _MOST_LIBRARIES = 1000
+_MOST_DIGITS = 18
+"""Of an index; no file has as many entries."""
 _CONTINUED = re.compile(r"^(?![ \t]*#)(?:.*\\\n)+.*", re.MULTILINE)
 _CORNER = re.compile(r"(\d+)(?:/(\d*)(?:/(\d*))?)?", re.ASCII)
 _Corner = tuple[int, int, int]
@@ -154,9 +156,9 @@ def _absolute(path: Path, line: int, corner: str, counts: dict[str, int]) -> str
     fields = corner.split("/")
     for place, (name, field) in enumerate(zip(_LISTS, fields, strict=False)):
         if field.startswith("-") and field[1:].isdecimal():
-            index = counts[name] + 1 + int(field)
+            index = counts[name] + 1 + int(field[: 1 + _MOST_DIGITS])
             if not 1 <= index <= counts[name]:
-                message = f"a face has the {name} index {field}, but {counts[name]} {name} stand before it"
+                message = f"a face has the {name} index {field[:40]}, but {counts[name]} {name} stand before it"
                 raise SceneFileError(path, line, message)
             fields[place] = str(index)
     return "/".join(fields)
@@ -166,10 +168,10 @@ def _parsed(path: Path, line: int, corner: str, counts: dict[str, int]) -> _Corn
     found = _CORNER.fullmatch(corner)
     if found is None:
         raise SceneFileError(path, line, f"a face has the corner {corner[:60]!r}; allowed are v, v/vt, v//vn, v/vt/vn")
-    v, vt, vn = (int(field) if field else 0 for field in found.groups())
+    v, vt, vn = (int(field[:_MOST_DIGITS]) if field else 0 for field in found.groups())
     for name, field, index in zip(_LISTS, found.groups(), (v, vt, vn), strict=True):
         if field and not 0 < index <= counts[name]:
-            out = f"an index is out of range: a face has the {name} index {field}, the file {counts[name]} {name}"
+            out = f"an index is out of range: a face has the {name} index {field[:40]}, the file {counts[name]} {name}"
             zero = f"a face has the index 0 ({name}); they count from 1"
             raise SceneFileError(path, line, out if index else zero)
     return v, vt, vn

@@ -1,0 +1,110 @@
+"""The header of a ply: checked, and with the names of properties that trimesh knows."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+from .errors import SceneFileError
+from .plain_text import text_of
+
+_HEADER = re.compile(rb"\A(.*?^[ \t]*end_header)[ \t]*\r?\n", re.MULTILINE | re.DOTALL)
+_FORMATS = ("ascii", "binary_little_endian", "binary_big_endian")
+_LINES = {
+    "format": f"the line format {' or '.join(_FORMATS)} 1.0",
+    "element": "element NAME COUNT",
+    "property": "property TYPE NAME or property list TYPE TYPE NAME behind an element",
+}
+_INTEGERS = {
+    "char", "uchar", "short", "ushort", "int", "uint", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64",
+    "uint64",
+}  # fmt: skip
+_TYPES = {*_INTEGERS, "float", "double", "float16", "float32", "float64"}
+_CORNERS = ("vertex_indices", "vertex_index")
+_COLORS = ("red", "green", "blue", "alpha")
+_OTHER_COLORS = (("diffuse_red", "diffuse_green", "diffuse_blue", "diffuse_alpha"), ("r", "g", "b", "a"))
+"""What else programs call them."""
+
+
+class PlyElement(NamedTuple):
+    """What a header says of a kind of rows."""
+
+    name: str
+    count: int
+    line: int
+    properties: dict[str, bool]
+    """By their names, whether they are lists."""
+    lines: dict[str, int]
+    """By the names of properties, where they stand."""
+
+
+class PlyHeader(NamedTuple):
+    """What stands before the rows."""
+
+    is_ascii: bool
+    elements: list[PlyElement]
+    data: bytes
+    """The header as trimesh is to read it."""
+    end: int
+    """Bytes of the file that it takes."""
+
+
+def read_ply_header(path: Path, data: bytes) -> PlyHeader:
+    """The header of a ply file.
+
+    Raises:
+        SceneFileError: it has no end, or a line that is not as ply has them; vertices without x, y and z, or faces
+            without corners.
+    """
+    found = _HEADER.match(data)
+    if found is None:
+        raise SceneFileError(path, None, "a ply without the line end_header: truncated?")
+    lines = text_of(found[1]).split("\n")
+    elements: list[PlyElement] = []
+    form = ""
+    for line, text in enumerate(lines, 1):
+        match text.split():
+            case ["format", kind, "1.0"] if kind in _FORMATS:
+                form = kind
+            case ["element", name, count] if re.fullmatch(r"\d{1,18}", count, re.ASCII):
+                elements.append(PlyElement(name, int(count), line, {}, {}))
+            case ["property", kind, name] if kind in _TYPES and elements:
+                elements[-1].properties[name], elements[-1].lines[name] = False, line
+            case ["property", "list", size, kind, name] if size in _INTEGERS and kind in _TYPES and elements:
+                elements[-1].properties[name], elements[-1].lines[name] = True, line
+            case ["format" | "element" | "property" as keyword, *_]:
+                raise SceneFileError(path, line, f"expected {_LINES[keyword]}, got {text[:60]!r}")
+    if not form:
+        raise SceneFileError(path, None, f"a ply header without {_LINES['format']}")
+    for element in elements:
+        for name, usual in _usual_names(element).items():
+            line = element.lines[name]
+            lines[line - 1] = f"{lines[line - 1].rstrip().removesuffix(name)}{usual}"
+        _check_element(path, element)
+    rest = [text for text in lines[1:] if text.strip() and text.split()[0] != "format"]
+    data = "\n".join(["ply", f"format {form} 1.0", *rest, ""]).encode()
+    return PlyHeader(form == "ascii", elements, data, found.end())
+
+
+def _usual_names(element: PlyElement) -> dict[str, str]:
+    """By their names, properties that trimesh knows by other ones: the only list of a face, and colours."""
+    there = element.properties.keys()
+    if element.name == "face" and list(element.properties.values()) == [True]:
+        return dict.fromkeys(there, _CORNERS[0])
+    for others in _OTHER_COLORS:
+        if there >= set(others[:3]) and there.isdisjoint(_COLORS):
+            return {other: usual for other, usual in zip(others, _COLORS, strict=True) if other in there}
+    return {}
+
+
+def _check_element(path: Path, element: PlyElement) -> None:
+    """Whether vertices have places, and faces corners."""
+    if not element.count:
+        return
+    needed = [name for name in "xyz" if element.properties.get(name) is not False]
+    if element.name == "vertex" and needed:
+        raise SceneFileError(path, element.line, f"the vertices have no property {needed[0]}")
+    lists = [name for name, is_list in element.properties.items() if is_list]
+    if element.name == "face" and len(element.properties) != 1 and not set(lists) & set(_CORNERS):
+        raise SceneFileError(path, element.line, f"the faces have no list {_CORNERS[0]}")
