@@ -11,6 +11,7 @@ from jaxlight import Scene, nodes
 
 IMAGE = r"expected an image of shape \[height, width, 1 to 4\] with values in \[0, 1\]"
 INDICES = "expected a flat list of integers >= -1"
+BLUES = [(0, 0, 1), (0, 0, 0.5), (0, 0, 0)]
 POINTS = r"expected finite numbers of shape \[n, 3\]"
 
 
@@ -37,6 +38,12 @@ def test_a_scene_is_made_of_nodes(children: Any, came: str) -> None:
             {"color": [[0, 0, np.inf]]},
             r"colours of shape \[n, 3\] in \[0, 1\], got \[ ?0.  0. inf\] in row 0",
         ),
+        (nodes.Background, {"sky_angle": (), "sky_color": BLUES[:2]}, "expected 1 angle, one for .*, got 0"),
+        (nodes.Background, {"sky_angle": (1, 2), "sky_color": BLUES[:2]}, "expected 1 angle, one for .*, got 2"),
+        (nodes.Background, {"sky_angle": (1,)}, "expected 0 angles, one for each colour after the first, got 1"),
+        (nodes.Background, {"sky_angle": (1,), "sky_color": []}, "expected 0 angles, one for .*, got 1"),
+        (nodes.Background, {"sky_angle": (2, 1), "sky_color": BLUES}, r"angles .* not decrease, got \(2, 1\)"),
+        (nodes.Background, {"sky_angle": -1, "sky_color": BLUES[:2]}, "expected a finite number >= 0, got -1"),
         (nodes.ImageTexture, {"url": 3}, "expected a string or a list of them, got 3"),
         (nodes.ImageTexture, {"url": ["a.png", 3]}, "expected a string, got 3"),
     ],
@@ -45,3 +52,8 @@ def test_errors_say_what_is_wrong(kind: Any, values: dict[str, Any], message: st
     with pytest.raises(ValueError, match=message) as caught:
         kind(name="a", **values)
     assert str(caught.value).startswith(f"{kind.__name__}[a].{next(iter(values))}: ")
+
+
+@pytest.mark.parametrize(("colors", "angles"), [([], ()), (BLUES[:1], ()), (BLUES[:2], 1.0), (BLUES, [1, 1])])
+def test_a_sky_has_an_angle_for_each_colour_after_the_first(colors: Any, angles: Any) -> None:
+    assert nodes.Background(sky_color=colors, sky_angle=angles).sky_angle == tuple(np.atleast_1d(angles))

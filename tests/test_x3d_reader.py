@@ -216,6 +216,25 @@ def test_angles_are_read_in_the_files_unit(tmp_path: Path) -> None:
     assert (moved.translation, moved.scale) == ((1, 2, 3), (4, 5, 6))
 
 
+SKIES = [
+    ("skyColor='1 0 0 0 1 0'", [[1, 0, 0]], (), "skyAngle is not one for each further skyColor"),
+    ("skyColor='1 0 0 0 1 0' skyAngle='1 2'", [[1, 0, 0], [0, 1, 0]], (1,), "skyAngle is not one for each"),
+    ("skyAngle='1 2 3'", [[0, 0, 0]], (), "skyAngle is not one for each further"),
+    ("skyColor='' skyAngle='1'", [], (), "skyAngle is not one for each further"),
+    ("skyColor='1 0 0 0 1 0 0 0 1' skyAngle='2 1'", [[1, 0, 0], [0, 1, 0], [0, 0, 1]], (2, 2), "skyAngle decreases"),
+]
+
+
+@pytest.mark.parametrize(("sky", "colors", "angles", "noted"), SKIES)
+def test_a_sky_is_read_as_far_as_its_colours_and_angles_go(
+    tmp_path: Path, sky: str, colors: list, angles: tuple[float, ...], noted: str
+) -> None:
+    (tmp_path / "a.x3d").write_text(x3d(f"<Background {sky}/>"))
+    with pytest.warns(SceneFileWarning, match=rf"simplified: Background whose {noted} .*\) x1$"):
+        (node,) = read_nodes(tmp_path / "a.x3d").children
+    assert (node.sky_color.tolist(), node.sky_angle) == (colors, angles)
+
+
 def test_container_fields_say_where_a_child_belongs(tmp_path: Path) -> None:
     appearance = "<Appearance containerField='appearance'><Material containerField='material'/></Appearance>"
     node = only_node(tmp_path, f"<Shape containerField='children'>{appearance}</Shape>")

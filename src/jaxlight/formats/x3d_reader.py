@@ -10,6 +10,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..scene import nodes
 from ..scene.fields import with_article
 from ..scene.indices import check_indices
@@ -180,6 +182,8 @@ class _Reader:
         values = {"name": name, **version_defaults(kind, self.version)}
         for field, value in self._values(kind, element, label):
             values[field.name] = value
+        if kind is nodes.Background:
+            _fit_sky(values, self.notes)
         texture_file = None
         if kind is nodes.ImageTexture and values.get("url"):
             values["image"], texture_file = self._image(element, values["url"])
@@ -294,6 +298,18 @@ class _Reader:
 
     def _error(self, element: Element, message: str) -> SceneFileError:
         return SceneFileError(self.path, element.line, message)
+
+
+def _fit_sky(values: dict[str, Any], notes: ReadNotes) -> None:
+    """Bring the fields of a Background to one angle for each colour after the first, in which none decreases."""
+    colors, angles = values.get("sky_color", nodes.Background().sky_color), values.get("sky_angle", ())
+    stops = min(len(colors), len(angles) + 1)
+    if stops < len(colors) or len(angles) > max(stops - 1, 0):
+        notes.simplified["Background whose skyAngle is not one for each further skyColor (read as far as both go)"] += 1
+    rising = tuple(np.maximum.accumulate(angles[: max(stops - 1, 0)]).tolist())
+    if rising != angles[: len(rising)]:
+        notes.simplified["Background whose skyAngle decreases (read as the largest before)"] += 1
+    values |= {"sky_color": colors[:stops], "sky_angle": rising}
 
 
 def _is_known(element: Element) -> bool:

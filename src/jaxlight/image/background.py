@@ -27,12 +27,10 @@ def sky(scene: Scene, samples: SampleBuffer) -> Float[Array, "3"] | Float[Array,
     if placed is None or len(placed.node.sky_color) == 0:
         return jnp.zeros(3, dtype)
     node, zenith = placed.node, placed.to_world[:, 1] / np.linalg.norm(placed.to_world[:, 1])
-    stops = min(len(node.sky_angle) + 1, len(node.sky_color))
-    if stops == 1 or samples.pixel_to_world is None or samples.width is None or samples.height is None:
+    if len(node.sky_color) == 1 or samples.pixel_to_world is None or samples.width is None or samples.height is None:
         return jnp.asarray(node.sky_color[0], dtype)
-    angles = np.maximum.accumulate(np.array([0.0, *node.sky_angle[: stops - 1]]))
-    colors = np.asarray(node.sky_color[:stops])
-    return _by_angle(samples, *(jnp.asarray(numbers, dtype) for numbers in (zenith, angles, colors)))
+    angles = (0.0, *node.sky_angle)
+    return _by_angle(samples, *(jnp.asarray(numbers, dtype) for numbers in (zenith, angles, node.sky_color)))
 
 
 @quick_jit

@@ -152,6 +152,14 @@ def spot_angle(where: str, value: Any) -> float:
     return min(angle, math.pi / 2)
 
 
+def rising_angles(where: str, value: Any) -> tuple[float, ...]:
+    """Angles >= 0 of which none is smaller than the one before it."""
+    angles = tuple(non_negative(where, angle) for angle in np.atleast_1d(value).tolist())
+    if list(angles) != sorted(angles):
+        raise _refuse(where, value, "angles that do not decrease")
+    return angles
+
+
 def boolean(where: str, value: Any) -> bool:
     """True or False."""
     if not isinstance(value, (bool, np.bool_)):

@@ -27,6 +27,7 @@ from .fields import (
     non_negative,
     number,
     positive,
+    rising_angles,
     spot_angle,
     string,
     strings,
@@ -435,14 +436,19 @@ class Fog(Node):
 class Background(Node):
     """What is seen behind the geometry (X3D 24.4.1): the sky colours, of which the first is the zenith's.
 
-    `sky_angle` holds one angle (radians from the zenith) for every colour after the first.
+    `sky_angle` holds one angle (radians from the zenith, none smaller than the last) for every colour after the first.
     """
 
-    sky_angle: tuple[float, ...] = _field(
-        (), lambda where, value: tuple(non_negative(where, v) for v in np.atleast_1d(value))
-    )
+    sky_angle: tuple[float, ...] = _field((), rising_angles)
     sky_color: np.ndarray = _field(((0.0, 0.0, 0.0),), lambda where, value: color_rows(where, value, 3))
     name: str = _field("", string)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        wanted, came = max(len(self.sky_color) - 1, 0), len(self.sky_angle)
+        if came != wanted:
+            allowed = f"{wanted} angle{'s' * (wanted != 1)}, one for each colour after the first"
+            raise ValueError(f"{self.label}.sky_angle: expected {allowed}, got {came}")
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
