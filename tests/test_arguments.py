@@ -16,6 +16,7 @@ from jaxlight import (
     Free,
     LightingOptions,
     Orthographic,
+    SampleBuffer,
     Scene,
     View,
     check_gradients,
@@ -24,13 +25,14 @@ from jaxlight import (
     fitted_values,
     nodes,
     rasterize,
+    samples_from_maps,
     save,
     shade,
     sum_over_samples,
     write_image,
     write_report,
 )
-from jaxlight.image import resolve
+from jaxlight.image import encode, resolve
 
 DIFFUSE = "Material[0].diffuse_color"
 
@@ -105,6 +107,11 @@ OTHERS: list[tuple[Callable[[Scene, View, Fit], Any], str]] = [
         lambda s, v, r: shade(s, jax.tree.map(lambda leaf: leaf[None], v.samples)),
         r"samples: position_planes: expected shape \[1, 3, 64\], got \[1, 1, 3, 64\]: .* jax.vmap",
     ),
+    (lambda s, v, r: Camera.look_at(np.full(3, 1j), (0, 0, 0)), r"look_at: eye: expected \[3\] numbers, got array"),
+    (
+        lambda s, v, r: jax.jit(lambda angle: nodes.Background(sky_angle=angle).sky_angle)(np.ones(1)),
+        "Background.sky_angle: expected numbers >= 0, got JitTracer",
+    ),
     (lambda s, v, r: nodes.Switch(which_choice=0.9), "which_choice: expected a whole number, got 0.9"),
 ]
 
@@ -123,6 +130,60 @@ def test_other_arguments_that_are_none(
     with pytest.raises(ValueError, match=message):
         act(scene, view, result)
     assert not list(tmp_path.iterdir())
+
+
+HALF = np.ma.masked_array(np.ones((8, 8, 3)), mask=np.arange(192).reshape(8, 8, 3) % 2 == 0, fill_value=0)
+"""A picture of which NumPy would give the masked half for numbers."""
+MASKED: dict[str, Callable[[View], Any]] = {
+    r"View\[0\].target": lambda v: View(v.samples, HALF),
+    r"View\[0\].weight": lambda v: View(v.samples, v.target, weight=HALF),
+    r"View\[0\].noise": lambda v: View(v.samples, v.target, noise=HALF),
+    r"View\[0\].background": lambda v: View(v.samples, v.target, background=HALF),
+    r"View\[0\].mask": lambda v: View(v.samples, v.target, mask=HALF[..., 0]),
+    "samples_from_maps: normal": lambda v: samples_from_maps(HALF, Orthographic(), depth=0),
+    "samples_from_maps: mask": lambda v: samples_from_maps(v.target, Orthographic(), depth=0, mask=HALF[..., 0]),
+    "samples_from_maps: surface": lambda v: samples_from_maps(
+        HALF.data, Orthographic(), depth=0, surface=HALF[..., 0].astype(int)
+    ),
+    "SampleBuffer: position": lambda v: SampleBuffer.create(HALF[0], HALF[0].data, (0, 0, 5)),
+    "SampleBuffer: surface": lambda v: SampleBuffer.create(
+        HALF[0].data, HALF[0].data, (0, 0, 5), surface=HALF[0, :, 0].astype(int)
+    ),
+    "SampleBuffer: normal": lambda v: v.samples.with_rows(normal=HALF[0]),
+    "Camera.look_at: eye": lambda v: Camera.look_at(HALF[0, 0], (0, 0, 0)),
+    "compare: reference": lambda v: compare(v.target, HALF),
+    "compare: mask": lambda v: compare(v.target, v.target, HALF[..., 0]),
+    "a.png": lambda v: write_image("a.png", HALF),
+    "image": lambda v: encode(HALF),
+    "Material.diffuse_color": lambda v: nodes.Material(diffuse_color=HALF[0, 0]),
+    "Material.shininess": lambda v: nodes.Material(shininess=np.ma.masked),
+    "Coordinate.point": lambda v: nodes.Coordinate(point=HALF[0]),
+    "IndexedFaceSet.coord_index": lambda v: nodes.IndexedFaceSet(coord_index=HALF[0, 0].astype(int)),
+    "PixelTexture.image": lambda v: nodes.PixelTexture(image=HALF),
+    "Background.sky_angle": lambda v: nodes.Background(sky_angle=HALF[0, 0]),
+}
+
+
+@pytest.mark.parametrize("where", MASKED)
+def test_masked_numbers_are_not_taken_for_numbers(
+    where: str, scene: Scene, view: View, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=rf"^{where}: got a masked array, \d+ of whose \d+ numbers are masked; "):
+        fit(scene, MASKED[where](view), DIFFUSE)
+
+
+def test_masked_arrays_of_which_nothing_is_masked_are_arrays(view: View) -> None:
+    whole = np.ma.masked_array(HALF.data)
+    assert nodes.Coordinate(point=whole[0]).point.shape == (8, 3)
+    assert compare(whole, whole).largest == 0
+
+
+def test_a_masked_array_for_which_there_is_a_mask_names_it(scene: Scene, view: View) -> None:
+    with pytest.raises(ValueError, match=r"give its data, and False where it is masked as mask="):
+        fit(scene, View(view.samples, HALF), DIFFUSE)
+    with pytest.raises(ValueError, match=r"give its data, and False where it is masked as mask="):
+        samples_from_maps(HALF, Orthographic(), depth=0)
 
 
 def test_a_result_is_described_without_what_it_was_made_from(result: Fit) -> None:

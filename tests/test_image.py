@@ -194,6 +194,10 @@ def test_comparison_figures() -> None:
             lambda: compare(np.zeros((2, 3)), np.zeros((2, 3)), np.full((2, 3), np.nan)),
             "mask: 6 of its 6 numbers are NaN",
         ),
+        (
+            lambda: compare([[0, 1], [1]], np.zeros((2, 2))),
+            r"compare: image: expected \[height, .*, got \[\[0, 1\], \[1\]\]",
+        ),
         (lambda: encode(np.zeros(3, np.uint8)), "image: got uint8; divide by 255"),
         (lambda: decode(np.zeros(3, np.uint16)), "image: got uint16; divide by 65535"),
         (lambda: encode(np.zeros(3), "gamma"), "expected 'none' or 'srgb', got 'gamma'"),

@@ -1,7 +1,8 @@
-"""Numbers from Python and NumPy as JAX arrays."""
+"""Numbers from Python and NumPy, checked and as arrays of NumPy and JAX."""
 
 from __future__ import annotations
 
+from numbers import Real
 from typing import Any
 
 import jax.numpy as jnp
@@ -17,8 +18,38 @@ def array_of(values: Any, dtype: Any) -> Array:
     return jnp.asarray(rounded, dtype)
 
 
+FILL = "fill them first: array.filled(0)"
+"""What to do about masked numbers where nothing takes a mask; and where something does:"""
+GIVE_MASK = "give its data, and False where it is masked as mask="
+
+
+def refuse_masked(where: str, value: Any, instead: str = FILL) -> None:
+    """Raise ValueError for a NumPy array of which something is masked: as plain numbers it would count again."""
+    if np.ma.is_masked(value):
+        masked = f"{np.ma.count_masked(value)} of whose {np.size(value)} numbers are masked"
+        raise ValueError(f"{where}: got a masked array, {masked}; {instead}")
+
+
+def known_numbers(where: str, value: Any, allowed: str = "real numbers", *, instead: str = FILL) -> np.ndarray:
+    """Real numbers or truth values that somebody gives, of whatever type; raises ValueError that names what they are.
+
+    NumPy alone would take real parts, read texts, count days and drop masks.
+    """
+    refuse_masked(where, value, instead)
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind == "O" and all(isinstance(number, Real) for number in array.flat):
+            array = array.astype(np.float64)  # integers that no integer type holds
+        if array.dtype.kind not in "biuf" and not jnp.issubdtype(array.dtype, jnp.floating):
+            raise TypeError
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{where}: expected {allowed}, got {' '.join(repr(value).split()):.60}") from None
+    return array
+
+
 def real_array(where: str, value: Any) -> Array:
     """Real numbers that somebody gives, traced or not; raises ValueError that names what they are."""
+    refuse_masked(where, value)
     try:
         array = jnp.asarray(value)
     except (TypeError, ValueError, OverflowError):

@@ -70,7 +70,7 @@ def _pictures_of_view(result: Fit, row: int, view: View) -> ViewPictures:
 
     used = covered > (1 - 1e-6 if view.background is None else 0)
     name = f"View[{view.name or row}]"
-    mask = None if view.mask is None else is_chosen(view.mask, f"{name}.mask: ")
+    mask = None if view.mask is None else is_chosen(view.mask, f"{name}.mask")
     for field in (mask, view.weight):
         if field is not None:
             used &= np.any(as_picture(field) > 0, axis=-1)

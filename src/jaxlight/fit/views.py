@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..arrays import array_of
+from ..arrays import GIVE_MASK, array_of, known_numbers
 from ..formats.levels import is_chosen, refuse_levels
 from ..raster.samples import SampleBuffer
 from ..scene.fields import number, positive
@@ -168,7 +168,7 @@ def _mask(view: View, layout: _Layout) -> Bool[np.ndarray, " points"]:
     """The points to fit; without a background those only that samples cover wholly."""
     mask = np.ones(layout.points, dtype=bool)
     if view.mask is not None:
-        chosen = is_chosen(view.mask, f"{layout.label}.mask: ")
+        chosen = is_chosen(view.mask, f"{layout.label}.mask")
         mask = layout.points_of("mask", chosen, grey=True)[:, 0] != 0
     if view.background is None and layout.covered is not None:
         mask &= layout.covered > 1 - 1e-6
@@ -225,12 +225,7 @@ def _refuse_levels(where: str, value: Any) -> None:
 
 
 def _numbers(where: str, value: Any) -> np.ndarray:
-    try:
-        if np.asarray(value).dtype.kind in "cSUmM":  # NumPy would take real parts, read texts and count days
-            raise ValueError
-        return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{where}: expected numbers, got {value!r:.60}") from None
+    return known_numbers(where, value, "numbers", instead=GIVE_MASK).astype(np.float64)
 
 
 def _light_rows(label: str, scene: Scene, lights: Any) -> dict[str, np.ndarray]:

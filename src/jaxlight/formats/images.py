@@ -17,6 +17,7 @@ import numpy as np
 from PIL import Image, ImageOps
 from PIL.TiffImagePlugin import BITSPERSAMPLE, EXTRASAMPLES, PHOTOMETRIC_INTERPRETATION, TiffImageFile
 
+from ..arrays import known_numbers
 from ..tracing import refuse_traced
 from .errors import SceneFileError
 from .levels import refuse_levels
@@ -153,7 +154,7 @@ def write_image(path: str | Path, image: Any, *, bits: int = 8) -> None:
     path = Path(path)
     refuse_traced("write_image", image)
     refuse_levels(str(path), image)
-    pixels = np.asarray(image, dtype=np.float64)
+    pixels = known_numbers(str(path), image, "[height, width, 1 to 4 components]").astype(np.float64)
     pixels = pixels[:, :, None] if pixels.ndim == 2 else pixels
     if pixels.ndim != 3 or pixels.shape[2] not in _MODES or pixels.size == 0:
         raise ValueError(f"{path}: expected [height, width, 1 to 4 components], got shape {list(pixels.shape)}")

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import known_numbers
+
 
 def is_levels(value: Any) -> bool:
     """Whether an array holds unsigned integers of 8 or 16 bits."""
@@ -19,7 +21,7 @@ def refuse_levels(where: str, value: Any) -> None:
         raise ValueError(f"{where}: got {kind}; divide by {np.iinfo(kind).max} or use read_image")
 
 
-def is_chosen(mask: Any, where: str = "") -> np.ndarray:
+def is_chosen(mask: Any, where: str = "mask") -> np.ndarray:
     """What a mask chooses, in its own shape: True from one half on, of levels from above half of the largest one.
 
     Levels of which none is above 1 are truth values, as other whole numbers are.
@@ -27,12 +29,10 @@ def is_chosen(mask: Any, where: str = "") -> np.ndarray:
     Raises:
         ValueError: no numbers, or NaN among them; begins with `where`.
     """
-    array = np.asarray(mask)
-    if array.dtype.kind not in "biuf":
-        raise ValueError(f"{where}expected numbers or truth values, got {mask!r:.60}")
+    array = known_numbers(where, mask, "numbers or truth values")
     if array.dtype.kind == "f":
         if np.any(np.isnan(array)):
-            raise ValueError(f"{where}{np.count_nonzero(np.isnan(array))} of its {array.size} numbers are NaN")
+            raise ValueError(f"{where}: {np.count_nonzero(np.isnan(array))} of its {array.size} numbers are NaN")
         return array >= 0.5
     if is_levels(array) and np.any(array > 1):
         return array > np.iinfo(array.dtype).max // 2

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import known_numbers
 from ..formats.levels import is_chosen
 from ..tracing import refuse_traced
 
@@ -64,7 +65,7 @@ def compare(image: Any, reference: Any, mask: Any = None, *, peak: float = 1.0) 
     if mask is None:
         used = np.ones(a.shape[:2], dtype=bool)
     else:
-        used = is_chosen(mask, "compare: mask: ")
+        used = is_chosen(mask, "compare: mask")
         if used.shape != a.shape[:2]:
             raise ValueError(f"compare: mask: expected shape {list(a.shape[:2])}, got {list(used.shape)}")
     if not np.any(used):
@@ -89,8 +90,8 @@ def compare(image: Any, reference: Any, mask: Any = None, *, peak: float = 1.0) 
 
 
 def _image(what: str, value: Any) -> np.ndarray:
-    array = np.asarray(value)
-    if array.ndim not in (2, 3) or array.size == 0 or array.dtype.kind not in "fiub":
+    array = known_numbers(f"compare: {what}", value, "[height, width, channels]")
+    if array.ndim not in (2, 3) or array.size == 0:
         raise ValueError(f"compare: {what}: expected [height, width, channels], got {array.dtype} {list(array.shape)}")
     scale = np.iinfo(array.dtype).max if array.dtype in (np.uint8, np.uint16) else 1
     return np.atleast_3d(array).astype(np.float64) / scale

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..arrays import known_numbers
 from ..scene import Scene, nodes
 from ..scene.document import PlacedViewpoint
 from ..scene.fields import number, whole
@@ -271,11 +272,8 @@ def _check_angle(what: str, radians: float) -> None:
 
 def _finite(what: str, value: Any, shape: tuple[int, ...], *, flat: bool = False) -> np.ndarray:
     """The numbers as an array; `flat`: whatever rows and columns they come in."""
-    try:
-        array = np.array(value, dtype=np.float64)
-        array = array.ravel() if flat else array
-    except (TypeError, ValueError):
-        raise ValueError(f"{what}: expected {list(shape)} numbers, got {value!r:.60}") from None
+    array = np.array(known_numbers(what, value, f"{list(shape)} numbers"), dtype=np.float64)
+    array = array.ravel() if flat else array
     if array.shape != shape or not np.all(np.isfinite(array)):
         raise ValueError(f"{what}: expected {list(shape)} finite numbers, got {array!r:.80}")
     array.setflags(write=False)

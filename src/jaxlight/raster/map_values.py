@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ..arrays import FILL, GIVE_MASK, known_numbers
 from ..formats import read_image
 from ..formats.levels import is_chosen, is_levels
 
@@ -32,22 +33,21 @@ def map_values(what: str, value: Any) -> tuple[np.ndarray, Literal["vector", "co
             without an array of that name.
     """
     if not isinstance(value, (str, Path)):
-        try:
-            return _numbers(what, value), "vector"
-        except ValueError as error:
-            raise ValueError(f"samples_from_maps: {what}: {error}") from None
+        return _numbers(f"samples_from_maps: {what}", what, value), "vector"
     path = Path(value)
     suffix = path.suffix.lower()
     if suffix not in _ARRAYS:
         image = read_image(path)
         return image, "vector" if suffix in _IMAGES_OF_NUMBERS else "color"
+    where = f"samples_from_maps: {what}: {path}"
     try:
-        return _numbers(what, _stored(what, path)), "vector"
+        stored = _stored(what, path)
     except (OSError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
         reason = getattr(error, "strerror", None) or f"not an array file: {error}"
-        raise ValueError(f"samples_from_maps: {what}: {path}: {reason}") from None
+        raise ValueError(f"{where}: {reason}") from None
     except ValueError as error:
-        raise ValueError(f"samples_from_maps: {what}: {path}: {error}") from None
+        raise ValueError(f"{where}: {error}") from None
+    return _numbers(where, what, stored), "vector"
 
 
 def _stored(what: str, path: Path) -> np.ndarray:
@@ -93,16 +93,11 @@ def fitted(what: str, array: np.ndarray, height: int, width: int, channels: int 
     return array
 
 
-def _numbers(what: str, value: Any) -> np.ndarray:
-    try:
-        array = np.asarray(value)
-        if array.dtype.kind not in "fiub":
-            raise TypeError
-    except (TypeError, ValueError):
-        raise ValueError(f"expected numbers, got {value!r:.60}") from None
+def _numbers(where: str, what: str, value: Any) -> np.ndarray:
+    array = known_numbers(where, value, "numbers", instead=FILL if what == "mask" else GIVE_MASK)
     if what in _OF_COLOURS and is_levels(array):
         said = "; with normal_encoding='color'" if what == "normal" else ""
         raise ValueError(
-            f"got {array.dtype}; divide by {np.iinfo(array.dtype).max}{said}, or give the image file's path"
+            f"{where}: got {array.dtype}; divide by {np.iinfo(array.dtype).max}{said}, or give the image file's path"
         )
-    return (is_chosen(array) if what == "mask" else array).astype(np.float64)
+    return (is_chosen(array, where) if what == "mask" else array).astype(np.float64)

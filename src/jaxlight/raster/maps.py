@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ..arrays import GIVE_MASK, known_numbers
 from ..formats.levels import is_chosen
 from ..scene.fields import positive, vector3
 from .camera import Camera
@@ -173,7 +174,7 @@ def _far_eye(view: Orthographic, points: np.ndarray) -> np.ndarray:
 def _surface(surface: Any, height: int, width: int, rows: np.ndarray, columns: np.ndarray) -> Any:
     if np.ndim(surface) == 0:
         return surface
-    numbers = np.asarray(surface)
+    numbers = known_numbers("samples_from_maps: surface", surface, "integers", instead=GIVE_MASK)
     if numbers.shape != (height, width) or numbers.dtype.kind not in "iu":
         raise ValueError(
             f"samples_from_maps: surface: expected a row of Scene.surfaces or integers of shape {[height, width]}, "

@@ -16,7 +16,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from ..arrays import array_of
+from ..arrays import array_of, known_numbers, refuse_masked
 from ..processor import sizes
 from ..scene.fields import float_type, largest_of, whole
 
@@ -261,6 +261,7 @@ class SampleBuffer(eqx.Module):
         for name, own in rows.items():
             if own is None:
                 continue
+            refuse_masked(f"SampleBuffer: {name}", own)
             planes = getattr(self, f"{name}_planes")
             if planes is None:
                 raise ValueError(f"SampleBuffer: {name}: the buffer has none that could be replaced")
@@ -443,13 +444,8 @@ def _vector(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _array(what: str, value: Any) -> np.ndarray:
-    try:
-        array = np.asarray(value)
-        if array.dtype.kind in "cOSU":  # complex numbers, objects such as None, strings
-            raise TypeError
-        array = array if array.dtype == np.float32 else array.astype(np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"SampleBuffer: {what}: expected real numbers, got {value!r:.60}") from None
+    array = known_numbers(f"SampleBuffer: {what}", value)
+    array = array if array.dtype == np.float32 else array.astype(np.float64)
     _check_finite(what, array)
     return array
 
@@ -465,10 +461,7 @@ def _indices(
 ) -> np.ndarray:
     """`value` as integers >= 0 (and < below) of the given shape, or one for all."""
     expected = f"integers of shape {list(shape)}{' or one' if or_one else ''}"
-    try:
-        array = np.asarray(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"SampleBuffer: {what}: expected {expected}, got {value!r:.60}") from None
+    array = known_numbers(f"SampleBuffer: {what}", value, expected)
     if or_one and array.ndim == 0:
         array = np.full(shape, array)
     if array.shape != shape or not np.issubdtype(array.dtype, np.integer):

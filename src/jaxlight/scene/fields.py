@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..arrays import known_numbers
+
 
 def with_article(name: str) -> str:
     """`a Box`, `an Appearance`."""
@@ -31,20 +33,14 @@ def _misshapen(where: str, array: np.ndarray, allowed: str) -> ValueError:
 
 
 def _floats(where: str, value: Any, shape: tuple[int, ...], allowed: str) -> np.ndarray:
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise _refuse(where, value, allowed) from None
+    array = known_numbers(where, value, allowed).astype(np.float64)
     if array.shape != shape or not np.all(np.isfinite(array)):
         raise _refuse(where, value, allowed)
     return array
 
 
 def _rows(where: str, value: Any, columns: int, allowed: str) -> np.ndarray:
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise _refuse(where, value, allowed) from None
+    array = np.array(known_numbers(where, value, allowed), dtype=np.float64)
     if array.size == 0:
         array = np.zeros((0, columns))
     if array.ndim != 2 or array.shape[1] != columns:
@@ -53,7 +49,6 @@ def _rows(where: str, value: Any, columns: int, allowed: str) -> np.ndarray:
     if not np.all(finite):
         row = int(np.argmin(finite))
         raise ValueError(f"{_refuse(where, array[row], allowed)} in row {row}")
-    array = array.copy()
     array.setflags(write=False)
     return array
 
@@ -75,11 +70,8 @@ def number(
     bounds += [f"<= {at_most:g}"] if at_most < math.inf else []
     bounds += [f"< {below:g}"] if below < math.inf else []
     allowed = " ".join(["a number" if infinite else "a finite number", " and ".join(bounds)]).strip()
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise _refuse(where, value, allowed) from None
-    if array.shape != () or isinstance(value, (bool, np.bool_, str)):
+    array = known_numbers(where, value, allowed)
+    if array.shape != () or array.dtype == bool:
         raise _refuse(where, value, allowed)
     x = float(array)
     if math.isnan(x) or (math.isinf(x) and not infinite) or not (at_least <= x <= at_most):
@@ -152,14 +144,6 @@ def spot_angle(where: str, value: Any) -> float:
     return min(angle, math.pi / 2)
 
 
-def rising_angles(where: str, value: Any) -> tuple[float, ...]:
-    """Angles >= 0 of which none is smaller than the one before it."""
-    angles = tuple(non_negative(where, angle) for angle in np.atleast_1d(value).tolist())
-    if list(angles) != sorted(angles):
-        raise _refuse(where, value, "angles that do not decrease")
-    return angles
-
-
 def boolean(where: str, value: Any) -> bool:
     """True or False."""
     if not isinstance(value, (bool, np.bool_)):
@@ -190,6 +174,15 @@ def choice(*words: str) -> Callable[[str, Any], str]:
         return value
 
     return check
+
+
+def rising_angles(where: str, value: Any) -> tuple[float, ...]:
+    """Angles >= 0 in radians of which none is smaller than the one before it; a single one counts as a list of one."""
+    each = np.atleast_1d(known_numbers(where, value, "numbers >= 0")).tolist()
+    angles = tuple(non_negative(where, angle) for angle in each)
+    if list(angles) != sorted(angles):
+        raise _refuse(where, value, "angles that do not decrease")
+    return angles
 
 
 def vector2(where: str, value: Any) -> tuple[float, float]:
@@ -255,10 +248,7 @@ def vector3_rows(where: str, value: Any) -> np.ndarray:
 def index_list(where: str, value: Any) -> np.ndarray:
     """A flat list of indices >= -1 (-1 ends a face)."""
     allowed = "a flat list of integers >= -1"
-    try:
-        array = np.asarray(value)
-    except (TypeError, ValueError):
-        raise _refuse(where, value, allowed) from None
+    array = known_numbers(where, value, allowed)
     if array.size == 0:
         array = np.zeros(0, dtype=np.int64)
     if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer) or np.any(array < -1):
@@ -276,10 +266,7 @@ def texture_image(where: str, value: Any) -> np.ndarray | None:
     if value is None:
         return None
     allowed = "an image of shape [height, width, 1 to 4] with values in [0, 1]"
-    try:
-        array = value if _is_fixed(value) else np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise _refuse(where, value, allowed) from None
+    array = value if _is_fixed(value) else np.array(known_numbers(where, value, allowed), dtype=np.float64)
     if array.ndim != 3 or array.shape[2] not in (1, 2, 3, 4) or array.size == 0:
         raise _misshapen(where, array, allowed)
     if not np.all((array >= 0) & (array <= 1)):
@@ -290,6 +277,6 @@ def texture_image(where: str, value: Any) -> np.ndarray | None:
 
 def _is_fixed(value: Any) -> bool:
     """Whether these are double-precision numbers of an array of their own that nobody writes to."""
-    if not isinstance(value, np.ndarray) or value.dtype != np.float64:
+    if type(value) is not np.ndarray or value.dtype != np.float64:
         return False
     return value.flags.owndata and not value.flags.writeable
