@@ -200,6 +200,7 @@ def test_comparison_figures() -> None:
         ),
         (lambda: encode(np.zeros(3, np.uint8)), "image: got uint8; divide by 255"),
         (lambda: decode(np.zeros(3, np.uint16)), "image: got uint16; divide by 65535"),
+        (lambda: encode(np.full(3, 200)), "image: got int64 above 1; divide by the largest level"),
         (lambda: encode(np.zeros(3), "gamma"), "expected 'none' or 'srgb', got 'gamma'"),
         (lambda: encode(np.zeros(3), np.ones(3)), "expected 'none' or 'srgb', got array"),
         (lambda: encode("x"), "image: expected real numbers, got 'x'"),

@@ -60,6 +60,12 @@ def test_writing_rounds_and_clamps(tmp_path: Path) -> None:
     assert np.rint(read_image(tmp_path / "a.png")[0, :, 0] * 255).tolist() == [0, 128, 100, 101, 255]
 
 
+@pytest.mark.parametrize("kind", [bool, np.int32])
+def test_whole_numbers_up_to_1_are_written(tmp_path: Path, kind: type) -> None:
+    write_image(tmp_path / "a.png", np.array([[0, 1]], kind))
+    assert read_image(tmp_path / "a.png")[0, :, 0].tolist() == [0, 1]
+
+
 def test_exr_holds_any_number(tmp_path: Path) -> None:
     pytest.importorskip("OpenImageIO")
     image = np.array([[[1e-5, 2, -3], [1000, 0, 0.1]]], dtype=np.float32)
@@ -292,6 +298,8 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
             r"a\.png: got uint8; divide by 255 or use read_image",
         ),
         ("a.png", np.full((2, 2), 128, np.uint16), {}, r"a\.png: got uint16; divide by 65535"),
+        ("a.png", np.full((2, 2), 128), {}, r"a\.png: got int64 above 1; divide by the largest level"),
+        ("a.exr", np.full((2, 2), 2, np.uint32), {}, r"a\.exr: got uint32 above 1; divide by the largest level"),
         ("a.bmp", np.zeros((2, 2)), {}, "ends in .png"),
         ("a.png", np.full((2, 2), 1j), {}, r"a\.png: expected \[height, width, 1 to 4 components\], got array"),
         ("a.png", "abc", {}, r"a\.png: expected \[height, width, 1 to 4 components\], got 'abc'"),

@@ -118,6 +118,18 @@ def test_colour_images_hold_normals_as_two_c_minus_one(seen: SampleBuffer, tmp_p
     np.testing.assert_allclose(np.asarray(as_array.normal), expected, atol=1e-12)
 
 
+def test_colours_of_normals_may_be_rounded_and_anything_outside_the_mask() -> None:
+    coded, mask = np.tile([0.5, 0.5, 1.003], (3, 4, 1)), np.eye(3, 4)
+    coded[mask == 0] = 128
+    found = samples_from_maps(coded, CAMERA, depth=1.0, mask=mask, normal_encoding="color")
+    np.testing.assert_allclose(np.asarray(found.normal), np.tile(1.006 * CAMERA.rotation[:, 2], (3, 1)), atol=1e-12)
+
+
+def test_whole_numbers_are_vectors() -> None:
+    found = samples_from_maps(3 * NORMAL.astype(int), CAMERA, depth=1.0)
+    np.testing.assert_allclose(np.asarray(found.normal)[0], 3 * CAMERA.rotation[:, 2], atol=1e-12)
+
+
 def test_without_a_mask_what_is_not_finite_or_zero_is_left_out() -> None:
     normal = np.tile([0.0, 0, 1], (4, 5, 1))
     normal[0, 0], normal[1, 1, 2], depth = 0, np.nan, np.ones((4, 5))
@@ -187,6 +199,21 @@ HOLE[1, 2] = np.nan
             "normal: got uint8; divide by 255; with normal_encoding='color', or give",
         ),
         (NORMAL, {"depth": 1.0, "color": np.ones((3, 4, 3), np.uint16)}, "color: got uint16; divide by 65535, or give"),
+        (
+            NORMAL,
+            {"depth": 1.0, "color": np.full((3, 4, 3), 200)},
+            "color: got int64 above 1; .*, or give the image file",
+        ),
+        (
+            np.tile([128, 128, 255], (3, 4, 1)),
+            {"depth": 1.0, "normal_encoding": "color"},
+            r"12 pixels have a normal that is no colour in \[0, 1\] .*, the first at row 0, column 0",
+        ),
+        (
+            np.tile([0.5, -0.1, 1.0], (3, 4, 1)),
+            {"depth": 1.0, "normal_encoding": "color", "mask": np.eye(3, 4)},
+            "3 pixels have a normal that is no colour",
+        ),
         (NORMAL, {"depth": 1.0, "mask": np.full((3, 4), np.nan)}, "mask: 12 of its 12 numbers are NaN"),
         (NORMAL, {"depth": 0.0}, "no pixel shows a surface"),
         (NORMAL, {"depth": 1.0, "normal_frame": "view"}, "normal_frame: expected 'camera' or 'world', got 'view'"),

@@ -89,6 +89,7 @@ def test_derivatives_by_rows_are_those_by_planes(by_place: bool) -> None:
         ({"position": np.zeros((COUNT + 1, 3))}, r"position: expected shape \[5000, 3\], got \[5001, 3\]"),
         ({"color": np.zeros((COUNT, 4))}, r"color: expected shape \[5000, 3\], got \[5000, 4\]"),
         ({"normal": [[1, 2, 3], [1, 2]]}, r"normal: expected real numbers, got \[\[1, 2, 3\], \[1, 2\]\]"),
+        ({"color": np.full((COUNT, 3), 2)}, "color: got int64 above 1; divide by the largest level"),
         ({"normal": np.full((COUNT, 3), 1j)}, "normal: expected real numbers, got array"),
     ],
 )
@@ -117,6 +118,8 @@ ONE: dict[str, Any] = {"position": np.zeros((1, 3)), "normal": np.ones((1, 3)), 
         ({"position": [[1j, 0, 0]]}, r"position: expected real numbers, got \[\[1j, 0, 0\]\]"),
         ({"color": [[1e39, 0, 0]], "dtype": "float32"}, "color: 1e\\+39 is larger than its type holds, 3.40282e\\+38"),
         ({"texel_index": TEXELS, "texel_weight": 1e39 + TEXELS}, "texel_weight: 1e\\+39 is larger than its type holds"),
+        ({"color": np.full((1, 3), 128, np.uint8)}, "color: got uint8; divide by 255"),
+        ({"color": np.full((1, 3), 200)}, "color: got int64 above 1; divide by the largest level"),
         ({"camera_to_world": 1e39 * np.eye(3)}, "camera_to_world: 1e\\+39 is larger than its type holds"),
         ({"pixel_to_world": 1e39 * np.eye(3)}, "pixel_to_world: 1e\\+39 is larger than its type holds"),
         (
@@ -136,6 +139,12 @@ ONE: dict[str, Any] = {"position": np.zeros((1, 3)), "normal": np.ones((1, 3)), 
 def test_what_makes_no_buffer_is_refused(own: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=f"SampleBuffer: {message}"):
         SampleBuffer.create(**ONE | own)
+
+
+def test_whole_numbers_up_to_1_are_colors() -> None:
+    for kind in (bool, np.int32):
+        color = SampleBuffer.create(**ONE, color=np.eye(3, dtype=kind)[:1]).color
+        assert color is not None and color.tolist() == [[1, 0, 0]]
 
 
 @pytest.mark.parametrize("dtype", [int, "float31", "float8_e5m2"])

@@ -123,7 +123,7 @@ def _background(view: View, layout: _Layout) -> Float[np.ndarray, "points 3"] | 
     if view.background is None:
         return None
     where = f"{layout.label}.background"
-    _refuse_levels(where, view.background)
+    refuse_levels(where, view.background)
     background = _numbers(where, view.background)
     if background.shape == (3,):
         background = np.broadcast_to(background, (layout.points, 3))
@@ -141,7 +141,7 @@ def _seen_and_heard(
     label = layout.label
     weight = _weights(view, layout, _mask(view, layout))
     used = weight > 0
-    _refuse_levels(f"{label}.target", view.target)
+    refuse_levels(f"{label}.target", view.target)
     target = layout.points_of("target", view.target)
     bad = np.any(used & ~np.isfinite(target), axis=1)
     if np.any(bad):
@@ -214,14 +214,6 @@ def _sensor_limits(view: View, label: str) -> tuple[float, float]:
 def exposure_of(view: View, row: int) -> float:
     """The exposure of a view, checked: a finite number > 0."""
     return positive(f"View[{view.name or row}].exposure", view.exposure)
-
-
-def _refuse_levels(where: str, value: Any) -> None:
-    """Raise ValueError for levels, also for those in wider integers: whole numbers above 1."""
-    refuse_levels(where, value)
-    kind = getattr(value, "dtype", None)
-    if kind is not None and np.issubdtype(kind, np.integer) and np.any(np.asarray(value) > 1):
-        raise ValueError(f"{where}: got {kind} above 1; divide by the largest level (255 of 8 bits) or use read_image")
 
 
 def _numbers(where: str, value: Any) -> np.ndarray:

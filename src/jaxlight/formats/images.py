@@ -146,15 +146,16 @@ def write_image(path: str | Path, image: Any, *, bits: int = 8) -> None:
         bits: 8 or 16 a component, of a PNG.
 
     Raises:
-        ValueError: a shape, a suffix or a number (NaN) that cannot be written; levels of 8 or 16 bits for numbers;
-            traced arrays.
+        ValueError: a shape, a suffix or a number (NaN) that cannot be written; integers above 1 (levels) for
+            numbers; traced arrays.
         ImportError: it needs OpenImageIO, which is not installed.
         OSError: the folder does not exist, or the system refuses.
     """
     path = Path(path)
     refuse_traced("write_image", image)
-    refuse_levels(str(path), image)
-    pixels = known_numbers(str(path), image, "[height, width, 1 to 4 components]").astype(np.float64)
+    numbers = known_numbers(str(path), image, "[height, width, 1 to 4 components]")
+    refuse_levels(str(path), numbers)
+    pixels = numbers.astype(np.float64)
     pixels = pixels[:, :, None] if pixels.ndim == 2 else pixels
     if pixels.ndim != 3 or pixels.shape[2] not in _MODES or pixels.size == 0:
         raise ValueError(f"{path}: expected [height, width, 1 to 4 components], got shape {list(pixels.shape)}")

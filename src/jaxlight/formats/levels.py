@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from jax.core import Tracer
 
 from ..arrays import known_numbers
 
@@ -14,11 +15,18 @@ def is_levels(value: Any) -> bool:
     return getattr(value, "dtype", None) in (np.uint8, np.uint16)
 
 
-def refuse_levels(where: str, value: Any) -> None:
-    """Raise ValueError for an array of levels; taken as numbers they would be up to 255 or 65535."""
+def refuse_levels(where: str, value: Any, advice: str = " or use read_image") -> None:
+    """Raise ValueError for an array of levels, also for those in wider integers: whole numbers above 1.
+
+    Taken as numbers they would be up to 255 or 65535. `advice`: what can be done other than to divide them.
+    """
     if is_levels(value):
-        kind = value.dtype
-        raise ValueError(f"{where}: got {kind}; divide by {np.iinfo(kind).max} or use read_image")
+        raise ValueError(f"{where}: got {value.dtype}; divide by {np.iinfo(value.dtype).max}{advice}")
+    kind = getattr(value, "dtype", None)
+    if kind is None or isinstance(value, Tracer) or not np.issubdtype(kind, np.integer):
+        return
+    if np.any(np.asarray(value) > 1):
+        raise ValueError(f"{where}: got {kind} above 1; divide by the largest level (255 of 8 bits){advice}")
 
 
 def is_chosen(mask: Any, where: str = "mask") -> np.ndarray:

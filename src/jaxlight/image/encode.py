@@ -26,7 +26,7 @@ def encode(image: Any, transfer: Transfer = "srgb") -> Array:
         sRGB numbers for "srgb", otherwise the image itself; the same shape.
 
     Raises:
-        ValueError: an unknown transfer; no real numbers, or levels of 8 or 16 bits for them.
+        ValueError: an unknown transfer; no real numbers, or levels (integers above 1) for them.
     """
     numbers = _checked(image, transfer)
     return linear_to_srgb(numbers) if transfer == "srgb" else numbers
@@ -43,7 +43,7 @@ def decode(image: Any, transfer: Transfer = "srgb") -> Array:
         Linear numbers for "srgb", otherwise the image itself; the same shape.
 
     Raises:
-        ValueError: an unknown transfer; no real numbers, or levels of 8 or 16 bits for them.
+        ValueError: an unknown transfer; no real numbers, or levels (integers above 1) for them.
     """
     numbers = _checked(image, transfer)
     return srgb_to_linear(numbers) if transfer == "srgb" else numbers

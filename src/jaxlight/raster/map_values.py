@@ -12,13 +12,11 @@ import numpy as np
 
 from ..arrays import FILL, GIVE_MASK, known_numbers
 from ..formats import read_image
-from ..formats.levels import is_chosen, is_levels
+from ..formats.levels import is_chosen, is_levels, refuse_levels
 
 MAX_BYTES = 1 << 31
 _ARRAYS = (".npy", ".npz")
 _IMAGES_OF_NUMBERS = (".exr",)
-_OF_COLOURS = ("normal", "color")
-"""Maps of which the integers of an image file are no values; depths may be whole millimetres."""
 
 
 def map_values(what: str, value: Any) -> tuple[np.ndarray, Literal["vector", "color"]]:
@@ -29,8 +27,8 @@ def map_values(what: str, value: Any) -> tuple[np.ndarray, Literal["vector", "co
         value: an array, or the path of an .npy, .npz or image file.
 
     Raises:
-        ValueError: not numbers, normals or colours as levels of 8 or 16 bits, a file that cannot be read, an .npz
-            without an array of that name.
+        ValueError: not numbers, normals or colours as levels (depths may be whole millimetres), a file that cannot be
+            read, an .npz without an array of that name.
     """
     if not isinstance(value, (str, Path)):
         return _numbers(f"samples_from_maps: {what}", what, value), "vector"
@@ -95,9 +93,7 @@ def fitted(what: str, array: np.ndarray, height: int, width: int, channels: int 
 
 def _numbers(where: str, what: str, value: Any) -> np.ndarray:
     array = known_numbers(where, value, "numbers", instead=FILL if what == "mask" else GIVE_MASK)
-    if what in _OF_COLOURS and is_levels(array):
+    if what == "color" or (what == "normal" and is_levels(array)):  # a normal of wider integers can be a vector
         said = "; with normal_encoding='color'" if what == "normal" else ""
-        raise ValueError(
-            f"{where}: got {array.dtype}; divide by {np.iinfo(array.dtype).max}{said}, or give the image file's path"
-        )
+        refuse_levels(where, array, f"{said}, or give the image file's path")
     return (is_chosen(array, where) if what == "mask" else array).astype(np.float64)

@@ -17,6 +17,8 @@ from .samples import SampleBuffer
 
 FAR = 1e6
 """How far off the eye of an orthographic view stands, in units of the seen area's size."""
+ROUNDING = 1 / 255
+"""By which colours that hold normals may leave [0, 1]: pictures are resampled."""
 _ENCODINGS, _FRAMES, _DEPTHS = ("vector", "color"), ("camera", "world"), ("z", "distance")
 
 
@@ -95,7 +97,9 @@ def samples_from_maps(
         raise ValueError(f"samples_from_maps: normal: expected [height, width, 3], got {list(vectors.shape)}")
     height, width = vectors.shape[:2]
     vectors = vectors[..., :3]
+    outside = np.zeros((height, width), bool)
     if (normal_encoding or encoding) == "color":
+        outside = np.any((vectors < -ROUNDING) | (vectors > 1 + ROUNDING), axis=2)
         vectors = 2 * vectors - 1
     if normal_y_down:
         vectors = vectors * [1.0, -1.0, 1.0]
@@ -108,13 +112,8 @@ def samples_from_maps(
         seen = finite & np.any(vectors != 0, axis=2)
     else:
         seen = is_chosen(fitted("mask", map_values("mask", mask)[0], height, width, None))
-        bad = np.argwhere(seen & ~finite)
-        if len(bad):
-            row, column = bad[0]
-            raise ValueError(
-                f"samples_from_maps: {len(bad)} pixels inside the mask have a normal or a position that is not finite, "
-                f"the first at row {row}, column {column}"
-            )
+        _refuse_pixels(seen & ~finite, "pixels inside the mask have a normal or a position that is not finite")
+    _refuse_pixels(seen & outside, "pixels have a normal that is no colour in [0, 1] (divide levels by the largest)")
     if not np.any(seen):
         raise ValueError("samples_from_maps: no pixel shows a surface: mask, normal and depth leave none")
     rows, columns = np.nonzero(seen)
@@ -137,6 +136,13 @@ def samples_from_maps(
         pixel_to_world=view.pixel_to_world(width, height) if isinstance(view, Camera) else None,
         dtype=dtype,
     )
+
+
+def _refuse_pixels(bad: np.ndarray, what: str) -> None:
+    """Raise ValueError for pixels [height, width] if there are any."""
+    if np.any(bad):
+        row, column = np.argwhere(bad)[0]
+        raise ValueError(f"samples_from_maps: {np.count_nonzero(bad)} {what}, the first at row {row}, column {column}")
 
 
 def _points(

@@ -17,6 +17,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from ..arrays import array_of, known_numbers, refuse_masked
+from ..formats.levels import refuse_levels
 from ..processor import sizes
 from ..scene.fields import float_type, largest_of, whole
 
@@ -103,7 +104,7 @@ class SampleBuffer(eqx.Module):
             normal: [N, 3], world space, any length (the equation normalises it).
             eye: [3], the viewer's position.
             surface: row in `Scene.surfaces`, one for all or [N].
-            color: [N, 3] or [N, 4], the interpolated vertex colours.
+            color: [N, 3] or [N, 4], the interpolated vertex colours, of which 1 is the brightest.
             texel_index, texel_weight: [N, 4], texels (row * width + column) of the surface's texture and their weights.
             pixel: [N], row * width + column, row 0 at the top; needs `width` and `height`.
             coverage: [N], share of the pixel that a sample stands for.
@@ -124,7 +125,9 @@ class SampleBuffer(eqx.Module):
         normal = _rows("normal", normal, (3,), count)
         eye = _vector("eye", eye, (3,))
         surface = _indices("surface", surface, (count,), or_one=True)
-        color = None if color is None else _rows("color", color, (3, 4), count)
+        if color is not None:
+            refuse_levels("SampleBuffer: color", known_numbers("SampleBuffer: color", color))
+            color = _rows("color", color, (3, 4), count)
         if (texel_index is None) != (texel_weight is None):
             raise ValueError("SampleBuffer: texel_index and texel_weight go together; one of them is missing")
         if texel_index is not None:
@@ -262,6 +265,8 @@ class SampleBuffer(eqx.Module):
             if own is None:
                 continue
             refuse_masked(f"SampleBuffer: {name}", own)
+            if name == "color":
+                refuse_levels("SampleBuffer: color", own)
             planes = getattr(self, f"{name}_planes")
             if planes is None:
                 raise ValueError(f"SampleBuffer: {name}: the buffer has none that could be replaced")
