@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import equinox as eqx
@@ -194,6 +196,45 @@ def test_what_no_field_can_hold_is_refused_and_the_file_stays(source: Path, chan
         save(with_values(quietly(source), **changes), source)
     assert source.read_bytes() == before
     assert os.listdir(source.parent) == ["source.x3d"]
+
+
+def with_surface(scene: Scene, **changes: object) -> Scene:
+    return dataclasses.replace(scene, surfaces=(scene.surfaces[0]._replace(**changes), *scene.surfaces[1:]))
+
+
+def with_part(scene: Scene, kind: str, **changes: object) -> Scene:
+    return dataclasses.replace(scene, **{kind: dataclasses.replace(getattr(scene, kind), **changes)})
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda s: with_surface(s, texture=0), r"surfaces\[0\].texture changed from -1 to 0, "),
+        (lambda s: with_surface(s, lighting="unlit"), r"surfaces\[0\].lighting changed from 'lit' to 'unlit', "),
+        (lambda s: dataclasses.replace(s, surfaces=s.surfaces * 2), "surfaces were added to or removed from the scene"),
+        (
+            lambda s: with_part(s, "materials", names=("soul",)),
+            r"materials.names changed from \('body',\) to \('soul',\)",
+        ),
+        (lambda s: with_part(s, "fog", name="mist"), "fog.name changed from '' to 'mist', "),
+    ],
+)
+def test_what_only_nodes_can_say_is_refused(source: Path, change: Callable[[Scene], Scene], message: str) -> None:
+    before = source.read_bytes()
+    with pytest.raises(ValueError, match=f"^save: {message}"):
+        save(change(quietly(source)), source)
+    assert source.read_bytes() == before
+
+
+def test_names_of_textures_and_the_headlight_are_the_nodes(tmp_path: Path) -> None:
+    picture = n.PixelTexture(name="wall", image=np.ones((1, 1, 3)))
+    scene = Scene.from_nodes(n.Shape(appearance=n.Appearance(texture=picture), geometry=n.Box()))
+    renamed = dataclasses.replace(scene, textures=(dataclasses.replace(scene.textures[0], name="floor"),))
+    with pytest.raises(ValueError, match=r"^save: textures\[0\].name changed from 'wall' to 'floor', "):
+        save(renamed, tmp_path / "out.x3d")
+    with pytest.raises(ValueError, match=r"^save: directional\.headlight changed from True to False, "):
+        save(with_part(scene, "directional", headlight=False), tmp_path / "out.x3d")
+    assert os.listdir(tmp_path) == []
 
 
 def test_the_headlight_is_not_the_files(tmp_path: Path) -> None:

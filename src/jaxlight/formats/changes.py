@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ..scene import nodes
+from ..scene import Scene, Surface, nodes
 from ..scene.flags import Flags
 from .x3d_values import float_text
 
-if TYPE_CHECKING:
-    from ..scene import Scene
+_ROWS = ("materials", "directional", "point", "spot")
+"""Tables of a scene, each with a row for every node that the document keeps under the same name."""
+_CHANGE_NODES = "which follows from the scene's nodes; change those instead"
 
 
 def changed_nodes(scene: Scene) -> dict[nodes.Node, nodes.Node]:
@@ -24,16 +25,12 @@ def changed_nodes(scene: Scene) -> dict[nodes.Node, nodes.Node]:
 
     Raises:
         ValueError: a number outside its field's range; rows of one node (USE) that differ; a change that no field of a
-            node can hold (the headlight, a light's frame or scope, rows added or removed).
+            node can hold (the headlight, a light's frame or scope, a surface, a name, rows added or removed).
     """
     document = scene.document
     changes: dict[Any, dict[str, Any]] = {}
-    for rows, group in (
-        (document.materials, scene.materials),
-        (document.directional, scene.directional),
-        (document.point, scene.point),
-        (document.spot, scene.spot),
-    ):
+    for kind in _ROWS:
+        rows, group = getattr(document, kind), getattr(scene, kind)
         if bool(rows) != (group is not None):
             raise ValueError("save: the scene has other kinds of lights or materials than the nodes that it came from")
         if rows:
@@ -43,10 +40,11 @@ def changed_nodes(scene: Scene) -> dict[nodes.Node, nodes.Node]:
         raise ValueError("save: fog was added to or removed from the scene; change its nodes instead")
     if document.fog is not None:
         changes |= {document.fog: _changed_fog(document.fog, scene.fog)}
-    if document.directional or document.point or document.spot or document.fog:
-        _check_frames(scene)
     if len(document.textures) != len(scene.textures):
         raise ValueError("save: textures were added to or removed from the scene; change its nodes instead")
+    if len(scene.surfaces) != len({placed.surface for placed in document.shapes}):
+        raise ValueError("save: surfaces were added to or removed from the scene; change its nodes instead")
+    _check_what_nodes_say(scene)
     for node, texture in zip(document.textures, scene.textures, strict=True):
         image = np.asarray(texture.image)
         if not _same(image, node.image):
@@ -151,16 +149,21 @@ def _field_value(new: Any, before: Any) -> Any:
     return tuple(numbers) if np.ndim(new) else numbers[0]
 
 
-def _check_frames(scene: Scene) -> None:
-    """Refuse changes of what follows from where lights and fog stand: no field of theirs holds them."""
-    from ..scene import Scene as SceneClass
-
-    original = SceneClass.from_nodes(scene.document.children)
+def _check_what_nodes_say(scene: Scene) -> None:
+    """Refuse changes of what follows from the nodes and where they stand: no number in a field of theirs holds them."""
+    original = Scene.from_nodes(scene.document.children)
+    pairs = [(kind, getattr(scene, kind), getattr(original, kind)) for kind in (*_ROWS, "fog")]
+    for kind in ("surfaces", "textures"):
+        each = zip(getattr(scene, kind), getattr(original, kind), strict=True)
+        pairs += [(f"{kind}[{row}]", now, before) for row, (now, before) in enumerate(each)]
+    for where, part, original_part in pairs:
+        for field in (*Surface._fields, "names", "name", "headlight"):
+            now, before = (getattr(each, field, None) for each in (part, original_part))
+            if now != before:
+                raise ValueError(f"save: {where}.{field} changed from {before!r:.60} to {now!r:.60}, {_CHANGE_NODES}")
     for kind in ("directional", "point", "spot", "fog"):
         for name in ("to_world", "to_local", "in_scope"):
             leaf, before = (_array(getattr(getattr(each, kind), name, None)) for each in (scene, original))
             precision = min(leaf.dtype, before.dtype, key=lambda dtype: dtype.itemsize)
             if leaf.shape != before.shape or not np.array_equal(leaf.astype(precision), before.astype(precision)):
-                raise ValueError(
-                    f"save: {kind}.{name} changed, which follows from the nodes above; change those instead"
-                )
+                raise ValueError(f"save: {kind}.{name} changed, {_CHANGE_NODES}")
