@@ -68,7 +68,7 @@ def test_whole_numbers_up_to_1_are_written(tmp_path: Path, kind: type) -> None:
 
 def test_exr_holds_any_number(tmp_path: Path) -> None:
     pytest.importorskip("OpenImageIO")
-    image = np.array([[[1e-5, 2, -3], [1000, 0, 0.1]]], dtype=np.float32)
+    image = np.array([[[1e-5, 2, -3], [1000, 0, 0.1], [np.inf, -np.inf, np.finfo(np.float32).max]]], dtype=np.float32)
     write_image(tmp_path / "a.exr", image)
     assert np.array_equal(read_image(tmp_path / "a.exr"), image)
 
@@ -300,6 +300,8 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
         ("a.png", np.full((2, 2), 128, np.uint16), {}, r"a\.png: got uint16; divide by 65535"),
         ("a.png", np.full((2, 2), 128), {}, r"a\.png: got int64 above 1; divide by the largest level"),
         ("a.exr", np.full((2, 2), 2, np.uint32), {}, r"a\.exr: got uint32 above 1; divide by the largest level"),
+        ("a.jpg", np.ones((1, 65501)), {}, r"a\.jpg: 65501 x 1 pixels; JPEG holds at most 65500 a side"),
+        ("a.exr", np.full((2, 2), -1e39), {}, r"a\.exr: -1e\+39 is larger than EXR's float32 holds, 3.40282e\+38"),
         ("a.bmp", np.zeros((2, 2)), {}, "ends in .png"),
         ("a.png", np.full((2, 2), 1j), {}, r"a\.png: expected \[height, width, 1 to 4 components\], got array"),
         ("a.png", "abc", {}, r"a\.png: expected \[height, width, 1 to 4 components\], got 'abc'"),

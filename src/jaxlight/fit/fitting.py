@@ -15,6 +15,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from ..formats.limits import as_path
 from ..lighting import LightingOptions
 from ..promotion import usual_promotion
 from ..scene.fields import non_negative, whole
@@ -185,7 +186,9 @@ def fit(
     whole("max_steps", max_steps, at_least=1)
     whole("seed", seed, at_least=0)
     non_negative("checkpoint_seconds", checkpoint_seconds, infinite=True)
-    if log is not None and checkpoint is not None and Path(log) == Path(checkpoint):
+    log = None if log is None else as_path("log", log)
+    checkpoint = None if checkpoint is None else as_path("checkpoint", checkpoint)
+    if log is not None and log == checkpoint:
         raise ValueError(f"log: expected another file than the checkpoint, got {str(log)!r} for both")
     if progress is not None and not callable(progress):
         raise ValueError(f"progress: expected a function of a Step, got {progress!r:.60}")

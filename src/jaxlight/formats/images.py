@@ -21,12 +21,14 @@ from ..arrays import known_numbers
 from ..tracing import refuse_traced
 from .errors import SceneFileError
 from .levels import refuse_levels
-from .limits import MAX_PIXELS, read_bounded
+from .limits import MAX_PIXELS, as_path, read_bounded
 from .quantize import quantize
 from .safe_write import written_whole
 
 _PILLOW_FORMATS = ("PNG", "JPEG", "BMP", "GIF", "TIFF", "WEBP")
 _MODES = {1: "L", 2: "LA", 3: "RGB", 4: "RGBA"}
+MAX_JPEG_SIDE = 65500
+"""Pixels that libjpeg writes in a row or a column."""
 _CUT_MODES = ("RGB", "RGBA", "RGBX", "LA", "CMYK")
 """Of which Pillow keeps 8 bits of 16."""
 _TURNED: dict[int, Callable[[np.ndarray], np.ndarray]] = {
@@ -55,10 +57,11 @@ def read_image(path: str | Path) -> np.ndarray:
         size, so lie in [0, 1]; the numbers of an EXR file stand as they are. A camera's rotation mark is obeyed.
 
     Raises:
+        ValueError: no path.
         SceneFileError: no such file, not an image, damaged, or more than MAX_PIXELS pixels.
         ImportError: the file needs OpenImageIO, which is not installed.
     """
-    path = Path(path)
+    path = as_path("read_image: path", path)
     return decode_image(read_bounded(path), path)
 
 
@@ -146,12 +149,12 @@ def write_image(path: str | Path, image: Any, *, bits: int = 8) -> None:
         bits: 8 or 16 a component, of a PNG.
 
     Raises:
-        ValueError: a shape, a suffix or a number (NaN) that cannot be written; integers above 1 (levels) for
-            numbers; traced arrays.
+        ValueError: a shape, a suffix or a number (NaN, or too large for EXR) that cannot be written; integers above 1
+            (levels) for numbers; traced arrays.
         ImportError: it needs OpenImageIO, which is not installed.
         OSError: the folder does not exist, or the system refuses.
     """
-    path = Path(path)
+    path = as_path("write_image: path", path)
     refuse_traced("write_image", image)
     numbers = known_numbers(str(path), image, "[height, width, 1 to 4 components]")
     refuse_levels(str(path), numbers)
@@ -166,8 +169,10 @@ def write_image(path: str | Path, image: Any, *, bits: int = 8) -> None:
         raise ValueError(f"{path}: expected a name that ends in .png, .jpg, .jpeg or .exr")
     if bits not in (8, 16) or (bits == 16 and suffix != ".png"):
         raise ValueError(f"{path}: expected 8 bits, or 16 for a .png, got bits={bits}")
-    if suffix in (".jpg", ".jpeg") and pixels.shape[2] in (2, 4):
-        raise ValueError(f"{path}: JPEG has no alpha; got {pixels.shape[2]} components")
+    if suffix in (".jpg", ".jpeg"):
+        _check_jpeg(path, *pixels.shape)
+    if suffix == ".exr":
+        _check_exr(path, pixels)
     with written_whole(path) as draft:
         if suffix == ".exr":
             _write_with_openimageio(draft, pixels.astype(np.float32), "float", path)
@@ -178,6 +183,20 @@ def write_image(path: str | Path, image: Any, *, bits: int = 8) -> None:
             squeezed = levels[:, :, 0] if levels.shape[2] == 1 else levels
             options: dict[str, Any] = {} if suffix == ".png" else {"quality": 95, "subsampling": 0}
             Image.fromarray(squeezed, _MODES[levels.shape[2]]).save(draft, **options)
+
+
+def _check_jpeg(path: Path, height: int, width: int, components: int) -> None:
+    if components in (2, 4):
+        raise ValueError(f"{path}: JPEG has no alpha; got {components} components")
+    if max(height, width) > MAX_JPEG_SIDE:
+        raise ValueError(f"{path}: {width} x {height} pixels; JPEG holds at most {MAX_JPEG_SIDE} a side")
+
+
+def _check_exr(path: Path, pixels: np.ndarray) -> None:
+    largest = float(np.finfo(np.float32).max)
+    too_large = pixels[np.isfinite(pixels) & (np.abs(pixels) > largest)]
+    if too_large.size:
+        raise ValueError(f"{path}: {too_large[0]:g} is larger than EXR's float32 holds, {largest:g}")
 
 
 def _write_16_bit_png(draft: Path, levels: np.ndarray, path: Path) -> None:

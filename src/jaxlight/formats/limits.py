@@ -1,8 +1,10 @@
-"""How large a file may be before it is refused: files come from strangers."""
+"""What a file may be, and how large, before it is refused: files come from strangers."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+from typing import Any
 
 from .errors import SceneFileError
 
@@ -13,6 +15,13 @@ MAX_NESTING = 400
 """XML elements inside one another, and nodes inside one another when repeated nodes (USE) are counted."""
 MAX_PIXELS = 2**26
 """Pixels of one image, and of all textures of one scene together."""
+
+
+def as_path(where: str, path: Any) -> Path:
+    """The path that somebody gives; raises ValueError that names what else it is."""
+    if not isinstance(path, (str, os.PathLike)):
+        raise ValueError(f"{where}: expected a path, got {path!r:.60}")
+    return Path(path)
 
 
 def what_it_is(path: Path) -> str:

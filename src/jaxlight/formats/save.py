@@ -8,6 +8,7 @@ from pathlib import Path
 from ..scene import Scene, nodes
 from ..tracing import refuse_traced
 from .changes import changed_nodes, updated_children
+from .limits import as_path
 from .safe_write import check_place, written_whole
 from .texture_files import TexturePlan, named_files, texture_url
 from .x3d_editor import with_attributes
@@ -40,7 +41,7 @@ def save(scene: Scene, path: str | Path) -> tuple[Path, ...]:
     if not isinstance(scene, Scene):
         raise ValueError(f"save: scene: expected a Scene, got {type(scene).__name__}")
     refuse_traced("save", scene)
-    path = Path(path)
+    path = as_path("save: path", path)
     if path.suffix.lower() != ".x3d":
         raise ValueError(f"{path}: expected a name that ends in .x3d, the one format that is written")
     check_place(path)

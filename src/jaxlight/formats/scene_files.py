@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ..scene.nodes import Node
 from .encodings import detect_format
 from .errors import SceneFileError
-from .limits import read_bounded
+from .limits import as_path, read_bounded
 from .notes import ReadNotes
 from .x3d_reader import read_x3d
 from .x3d_source import X3DSource
@@ -37,7 +37,7 @@ def read_nodes(path: str | Path) -> ReadScene:
     Raises:
         SceneFileError: the file cannot be read, or is not what it should be; says where and why.
     """
-    path = Path(path)
+    path = as_path("read_nodes: path", path)
     read = _read(path)
     read.notes.warn(path, stacklevel=2)
     return read
@@ -55,14 +55,14 @@ def load(path: str | Path, *, dtype: Any = None) -> Scene:
 
     Raises:
         SceneFileError: the file cannot be read, or is not what it should be; says where and why.
-        ValueError: another type.
+        ValueError: another type; no path.
     """
     from ..scene import Scene
     from ..scene.fields import float_type
     from ..scene.flatten import MAX_PLACED, TOO_MANY_PLACED
 
     dtype = float_type("load: dtype", dtype)
-    path = Path(path)
+    path = as_path("load: path", path)
     read = _read(path)
     if _placed(read.children) > MAX_PLACED:  # counted first: to place them takes long
         raise SceneFileError(path, None, TOO_MANY_PLACED)
