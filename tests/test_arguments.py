@@ -86,6 +86,19 @@ OTHERS: list[tuple[Callable[[Scene, View, Fit], Any], str]] = [
     (lambda s, v, r: check_gradients(s, v.samples, seed="a"), "seed: expected a whole number >= 0, got 'a'"),
     (lambda s, v, r: write_report("a.html", r, ["a"]), "views: expected a View or a list of them"),
     (lambda s, v, r: write_report("a.html", r, v, title=None), "title: expected a string, got None"),
+    (lambda s, v, r: write_report("a.html", r, None), "views: expected a View or a list of them"),
+    (lambda s, v, r: write_report("a.html", r, v, warnings=[3]), "warnings: expected a string, got 3"),
+    (
+        lambda s, v, r: write_report("a.html", r, View(rasterize(s, width=4), np.zeros((4, 4, 3)))),
+        r"View\[0\].samples: expected 8 x 8 pixels as in the fit, got 4 x 4 pixels",
+    ),
+    (
+        lambda s, v, r: write_report(
+            "a.html", r, View(SampleBuffer.create(np.ones((1, 3)), np.ones((1, 3)), (0, 0, 5)), np.ones((1, 3)))
+        ),
+        r"View\[0\].samples: expected 8 x 8 pixels as in the fit, got no pixels",
+    ),
+    (lambda s, v, r: write_report(None, r, v), "write_report: path: expected a path, got None"),
     (lambda s, v, r: load(None), "load: path: expected a path, got None"),
     (lambda s, v, r: load(3), "load: path: expected a path, got 3"),
     (lambda s, v, r: load(b"a.x3d"), "load: path: expected a path, got b'a.x3d'"),
@@ -93,6 +106,22 @@ OTHERS: list[tuple[Callable[[Scene, View, Fit], Any], str]] = [
     (lambda s, v, r: save(s, 5), "save: path: expected a path, got 5"),
     (lambda s, v, r: write_image(None, v.target), "write_image: path: expected a path, got None"),
     (lambda s, v, r: fit(s, v, DIFFUSE, log=3), "log: expected a path, got 3"),
+    (lambda s, v, r: fitted_values(r.problem, max_steps=0), "max_steps: expected a whole number >= 1, got 0"),
+    (lambda s, v, r: fitted_values(r.problem, solver=3), "solver: expected a BoundedLevenbergMarquardt, got 3"),
+    (
+        lambda s, v, r: samples_from_maps(v.target, Orthographic(), depth=0, texel_per_pixel="no"),
+        "samples_from_maps: texel_per_pixel: expected True or False, got 'no'",
+    ),
+    (
+        lambda s, v, r: samples_from_maps(v.target, Orthographic(), depth=0, normal_y_down=1),
+        "samples_from_maps: normal_y_down: expected True or False, got 1",
+    ),
+    (
+        lambda s, v, r: samples_from_maps(
+            v.target, Orthographic(), depth=0, normal_frame=np.array(["camera", "world"])
+        ),
+        "samples_from_maps: normal_frame: expected 'camera' or 'world', got array",
+    ),
     (lambda s, v, r: Orthographic(None), "Orthographic.pixel_size: expected a finite number > 0, got None"),
     (lambda s, v, r: Orthographic("a"), "Orthographic.pixel_size: expected a finite number > 0, got 'a'"),
     (lambda s, v, r: Orthographic(center=(0, 0, np.nan)), "Orthographic.center: expected 3 finite numbers"),

@@ -50,6 +50,16 @@ def test_a_scene_is_made_of_nodes(children: Any, came: str) -> None:
         (nodes.Material, {"shininess": np.array(1j)}, r"expected a finite number >= 0 and <= 1, got array"),
         (nodes.Sphere, {"radius": 10**400}, "expected a finite number > 0, got 10000"),
         (nodes.Background, {"sky_angle": None}, "expected numbers >= 0, got None"),
+        (
+            nodes.IndexedFaceSet,
+            {"coord_index": np.array([0, 1, 2, 2**64 - 1], np.uint64)},
+            rf"{INDICES} and below 9223372036854775808, got \[ +0 ",
+        ),
+        (
+            nodes.Fog,
+            {"fog_type": np.array(["LINEAR", "x"])},
+            r"expected 'LINEAR' or 'EXPONENTIAL', got \['LINEAR' 'x'\]",
+        ),
         (nodes.ImageTexture, {"url": 3}, "expected a string or a list of them, got 3"),
         (nodes.ImageTexture, {"url": ["a.png", 3]}, "expected a string, got 3"),
     ],

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..lighting import make_plan
+from ..scene.fields import whole
 from . import normal
 from .problem import Problem, scene_of_view
 from .run import make_solver, solve
@@ -38,13 +39,16 @@ def fitted_values(
         The numbers of `Fit.values`, in the order of `Fit.labels`.
 
     Raises:
-        ValueError: no problem of a fit; whole textures are among the free fields.
+        ValueError: no problem of a fit; another solver; `max_steps` is no whole number >= 1; whole textures are among
+            the free fields.
     """
     if not isinstance(problem, Problem):
         raise ValueError(f"problem: expected the problem of a fit (`Fit.problem`), got {type(problem).__name__}")
     if problem.parameters.blocks:
         raise ValueError("fitted_values: derivatives of fits of whole textures are not supported")
-    return _fitted_values(problem, solver, max_steps)
+    if solver is not None and not isinstance(solver, BoundedLevenbergMarquardt):
+        raise ValueError(f"solver: expected a BoundedLevenbergMarquardt, got {solver!r:.60}")
+    return _fitted_values(problem, solver, whole("max_steps", max_steps, at_least=1))
 
 
 @eqx.filter_jit

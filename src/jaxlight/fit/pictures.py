@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -11,6 +11,7 @@ import numpy as np
 from ..formats.levels import is_chosen
 from ..image import resolve, sky
 from ..lighting.compiling import quick_jit
+from ..raster.samples import SampleBuffer
 from . import normal
 from .problem import Problem
 from .views import View, ViewData
@@ -43,17 +44,29 @@ def view_pictures(result: Fit, views: View | Sequence[View]) -> list[ViewPicture
         The pictures of each view, in their order.
 
     Raises:
-        ValueError: another number of views than the fit had.
+        ValueError: views of another number or size than the fit had.
     """
-    each = [views] if isinstance(views, View) else list(views)
+    each = list(views) if isinstance(views, Iterable) else [views]
     fitted = len(result.exposure)
     if not all(isinstance(view, View) for view in each):
         raise ValueError("views: expected a View or a list of them")
     if len(each) != fitted:
         raise ValueError(f"views: expected the {fitted} that were fitted, got {len(each)}")
+    for row, view in enumerate(each):
+        fitted_size, size = (_size(one.samples) for one in (_place(result.problem, row)[0], view))
+        if size != fitted_size:
+            raise ValueError(f"{_label(view, row)}.samples: expected {fitted_size} as in the fit, got {size}")
     return [
         _pictures_of_view(result, row, view) for row, view in enumerate(each) if view.samples.pixel_slots is not None
     ]
+
+
+def _label(view: View, row: int) -> str:
+    return f"View[{view.name or row}]"
+
+
+def _size(samples: SampleBuffer) -> str:
+    return "no pixels" if samples.pixel_slots is None else f"{samples.width} x {samples.height} pixels"
 
 
 def _pictures_of_view(result: Fit, row: int, view: View) -> ViewPictures:
@@ -69,7 +82,7 @@ def _pictures_of_view(result: Fit, row: int, view: View) -> ViewPictures:
         return array if array.ndim == 3 else array[..., None]
 
     used = covered > (1 - 1e-6 if view.background is None else 0)
-    name = f"View[{view.name or row}]"
+    name = _label(view, row)
     mask = None if view.mask is None else is_chosen(view.mask, f"{name}.mask")
     for field in (mask, view.weight):
         if field is not None:

@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from ..formats.limits import as_path
 from ..formats.quantize import quantize
 from ..formats.safe_write import written_whole
 from ..image import encode
 from ..image.encode import Transfer
-from ..scene.fields import string
+from ..scene.fields import string, strings
 from .fitting import Fit
 from .pictures import ViewPictures, view_pictures
 from .steps import Step
@@ -60,14 +61,16 @@ def write_report(
         warnings: what was said while scene and pictures were read and fitted, a sentence each; None: not known.
 
     Raises:
-        ValueError: `result` is not what `fit` returns; another number of views than the fit had.
+        ValueError: `result` is not what `fit` returns; views of another number or size than the fit had.
     """
     if not isinstance(result, Fit):
         raise ValueError(f"result: expected a Fit, got {type(result).__name__}")
+    path = as_path("write_report: path", path)
     string("title", title)
+    warnings = None if warnings is None else strings("warnings", warnings)
     pictures = view_pictures(result, views)
     page = report_page(result, pictures, title=title, transfer=transfer, warnings=warnings)
-    with written_whole(Path(path)) as draft:
+    with written_whole(path) as draft:
         draft.write_text(page, encoding="utf-8", errors="replace")
 
 

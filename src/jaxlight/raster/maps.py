@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arrays import GIVE_MASK, known_numbers
 from ..formats.levels import is_chosen
-from ..scene.fields import positive, vector3
+from ..scene.fields import boolean, positive, vector3
 from .camera import Camera
 from .map_values import fitted, map_values
 from .pattern import morton
@@ -92,6 +92,8 @@ def samples_from_maps(
         ValueError: a shape, an option or a value (inside the mask) that does not fit; says which map and where.
     """
     _check_options(view, normal_encoding, normal_frame, position_frame, depth_kind, position, depth)
+    normal_y_down = boolean("samples_from_maps: normal_y_down", normal_y_down)
+    texel_per_pixel = boolean("samples_from_maps: texel_per_pixel", texel_per_pixel)
     vectors, encoding = map_values("normal", normal)
     if vectors.ndim != 3 or vectors.shape[2] not in (3, 4) or vectors.size == 0:
         raise ValueError(f"samples_from_maps: normal: expected [height, width, 3], got {list(vectors.shape)}")
@@ -208,6 +210,6 @@ def _check_options(
         ("position_frame", position_frame, _FRAMES),
         ("depth_kind", depth_kind, _DEPTHS),
     ):
-        if value not in allowed:
+        if not isinstance(value, str | None) or value not in allowed:
             expected = " or ".join(repr(word) for word in allowed if word is not None)
-            raise ValueError(f"samples_from_maps: {what}: expected {expected}, got {value!r}")
+            raise ValueError(f"samples_from_maps: {what}: expected {expected}, got {value!r:.60}")

@@ -19,9 +19,11 @@ from jaxtyping import Array, Bool, Float, Int
 from ..arrays import array_of, known_numbers, refuse_masked
 from ..formats.levels import refuse_levels
 from ..processor import sizes
-from ..scene.fields import float_type, largest_of, whole
+from ..scene.fields import boolean, float_type, largest_of, whole
 
 MIN_TILE = 64
+MAX_TILE = 1 << 24
+"""Far more samples than tiles are made for: each surface fills up its last one."""
 MANY_LIGHTS = 32
 """From so many lights of a kind on, samples are shaded with those only that reach them, and stored by place."""
 LANES = 64
@@ -150,6 +152,9 @@ class SampleBuffer(eqx.Module):
         tile = None if tile is None else whole("SampleBuffer: tile", tile, at_least=1)
         if tile is not None and tile & (tile - 1):
             raise ValueError(f"SampleBuffer: tile: expected a power of two, got {tile}")
+        if tile is not None and tile > MAX_TILE:
+            raise ValueError(f"SampleBuffer: tile: expected at most {MAX_TILE} samples, got {tile}")
+        by_place = boolean("SampleBuffer: by_place", by_place)
         largest = largest_of(dtype)
         stored = {
             "position": position,

@@ -169,7 +169,7 @@ def choice(*words: str) -> Callable[[str, Any], str]:
     """A check for one of the given words."""
 
     def check(where: str, value: Any) -> str:
-        if value not in words:
+        if not isinstance(value, str) or value not in words:
             raise _refuse(where, value, " or ".join(repr(word) for word in words))
         return value
 
@@ -253,6 +253,8 @@ def index_list(where: str, value: Any) -> np.ndarray:
         array = np.zeros(0, dtype=np.int64)
     if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer) or np.any(array < -1):
         raise _refuse(where, array, allowed)
+    if np.any(array > np.iinfo(np.int64).max):
+        raise _refuse(where, array, f"{allowed} and below {2**63}")
     array = array.astype(np.int64)
     array.setflags(write=False)
     return array
