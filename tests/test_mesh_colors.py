@@ -268,7 +268,7 @@ def test_colors_of_0_to_255_are_told_from_those_of_0_to_1(tmp_path: Path, name: 
         (tmp_path / name).write_text("\n".join([*vertices, "f 1 2 3", "usemtl a", "f 2 3 1"]))
     else:
         (tmp_path / name).write_text(triangle_ply("255 51 0", "float", ("red", "green", "blue")))
-    with pytest.warns(SceneFileWarning, match=f"{name[2:]} colours above 1, read as 0 to 255 x1"):
+    with pytest.warns(SceneFileWarning, match=f"{name[2:]} colours above 2, read as 0 to 255 x1"):
         shapes = shapes_of(tmp_path / name)
     for shape in shapes:
         np.testing.assert_array_equal(shape.geometry.color.color.max(axis=0)[:2], (1, 0.2))
@@ -280,6 +280,8 @@ def test_colors_of_0_to_255_are_told_from_those_of_0_to_1(tmp_path: Path, name: 
     [
         ("a.obj", "0.5 -0.25 1", (0.5, 0, 1), "-0.25 to 1"),
         ("a.obj", "510 0 51", (1, 0, 0.2), "0 to 2"),
+        ("a.obj", "1.5 0 0.5", (1, 0, 0.5), "0 to 1.5"),
+        ("a.ply", "1.5 0 0.5", (1, 0, 0.5), "0 to 1.5"),
         ("a.ply", "-1 0.25 0.5", (0, 0.25, 0.5), "-1 to 0.5"),
         ("a.glb", "2 0.5 0.25", (1, 0.5, 0.25), "0.25 to 2"),
     ],

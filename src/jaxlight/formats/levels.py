@@ -15,6 +15,11 @@ def is_levels(value: Any) -> bool:
     return getattr(value, "dtype", None) in (np.uint8, np.uint16)
 
 
+def are_bytes(largest: float) -> bool:
+    """Whether colours of floats, of which this is the largest, mean 0 to 255: a little above 1 a light may be."""
+    return largest > 2.0
+
+
 def refuse_levels(where: str, value: Any, advice: str = " or use read_image") -> None:
     """Raise ValueError for an array of levels, also for those in wider integers: whole numbers above 1.
 

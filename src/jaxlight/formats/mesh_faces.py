@@ -9,6 +9,7 @@ import numpy as np
 from ..scene import nodes
 from ..scene.indices import check_indices
 from .gltf_header import GltfMaterial
+from .levels import are_bytes
 from .notes import ReadNotes
 
 CREASE_ANGLE = np.pi / 3
@@ -106,8 +107,8 @@ def _colors_of_ply(mesh: Any, element: str, count: int, notes: ReadNotes) -> np.
     if len(types) > 1 or not types <= {"u1", "u2", "f4", "f8"} or any(column.shape != (count,) for column in columns):
         return None
     colors = np.stack(columns, axis=1)
-    if colors.dtype.kind == "f" and np.max(colors, initial=0) > 1:
-        notes.simplified["ply colours above 1, read as 0 to 255"] += 1
+    if colors.dtype.kind == "f" and are_bytes(np.max(colors, initial=0)):
+        notes.simplified["ply colours above 2, read as 0 to 255"] += 1
         return colors.astype(np.float64) / 255.0
     return colors
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..scene.polygons import Faces, are_concave, split_concave
 from .errors import SceneFileError
+from .levels import are_bytes
 from .notes import ReadNotes
 from .plain_text import name_in, text_of
 
@@ -109,8 +110,8 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> ObjText:
         bare += "/"
     if not colored and max(sizes["v"], default=0) >= 6:
         notes.unused["obj colours of vertices, as not all have some"] += 1
-    if colored and brightest > 1.0:
-        notes.simplified["obj colours above 1, read as 0 to 255"] += 1
+    if colored and are_bytes(brightest):
+        notes.simplified["obj colours above 2, read as 0 to 255"] += 1
         vertices = [_in_unit_colors(statement) for statement in vertices]
     texts: list[str] = []
     for name, corners_of in faces.items():
