@@ -210,7 +210,7 @@ HOLE[1, 2] = np.nan
             r"12 pixels have a normal that is no colour in \[0, 1\] .*, the first at row 0, column 0",
         ),
         (
-            np.tile([0.5, -0.1, 1.0], (3, 4, 1)),
+            np.tile([0.5, -0.5, 1.0], (3, 4, 1)),
             {"depth": 1.0, "normal_encoding": "color", "mask": np.eye(3, 4)},
             "3 pixels have a normal that is no colour",
         ),

@@ -17,8 +17,8 @@ from .samples import SampleBuffer
 
 FAR = 1e6
 """How far off the eye of an orthographic view stands, in units of the seen area's size."""
-ROUNDING = 1 / 255
-"""By which colours that hold normals may leave [0, 1]: pictures are resampled."""
+OVERSHOOT = 0.25
+"""By which colours that hold normals may leave [0, 1]: filters that make pictures smaller do so at edges."""
 _ENCODINGS, _FRAMES, _DEPTHS = ("vector", "color"), ("camera", "world"), ("z", "distance")
 
 
@@ -101,7 +101,7 @@ def samples_from_maps(
     vectors = vectors[..., :3]
     outside = np.zeros((height, width), bool)
     if (normal_encoding or encoding) == "color":
-        outside = np.any((vectors < -ROUNDING) | (vectors > 1 + ROUNDING), axis=2)
+        outside = np.any((vectors < -OVERSHOOT) | (vectors > 1 + OVERSHOOT), axis=2)
         vectors = 2 * vectors - 1
     if normal_y_down:
         vectors = vectors * [1.0, -1.0, 1.0]
