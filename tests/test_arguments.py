@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +128,17 @@ OTHERS: list[tuple[Callable[[Scene, View, Fit], Any], str]] = [
     (lambda s, v, r: Orthographic(center=(0, 0, np.nan)), "Orthographic.center: expected 3 finite numbers"),
     (lambda s, v, r: Camera.default(s).rays(0, 10), "rays: width: expected a whole number >= 1, got 0"),
     (lambda s, v, r: Camera.default(s).rays(3, 2.5), "rays: height: expected a whole number >= 1, got 2.5"),
+    (
+        lambda s, v, r: Camera((0, 0, 5), np.eye(3), 0.8).pixel_to_camera(0, 0),
+        "pixel_to_camera: width: expected a whole number >= 1, got 0",
+    ),
+    (lambda s, v, r: save(replace(s, document=None), "a.x3d"), "save: scene: expected .* whose document is None"),
+    (lambda s, v, r: rasterize(replace(s, document=None)), "rasterize: scene: expected .* whose document is None"),
+    (lambda s, v, r: Camera.default(replace(s, document=None)), "Camera.default: expected .* whose document is None"),
+    (
+        lambda s, v, r: fit(s, v, Free(DIFFUSE, lower=np.ma.masked_array(np.zeros(3), [0, 0, 1]))),
+        "diffuse_color: lower: got a masked array, 1 of whose 3 numbers are masked",
+    ),
     (lambda s, v, r: compare(v.target, v.target, peak=0), "compare: peak: expected a finite number > 0, got 0"),
     (
         lambda s, v, r: LightingOptions(support_level=np.array([1, 2])),

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import jax.numpy as jnp
 import numpy as np
 
-from ..arrays import array_of
+from ..arrays import array_of, refuse_masked
 from ..scene import paths
 from ..scene.fields import largest_of, number
 from ..scene.paths import Path
@@ -200,6 +200,7 @@ def _texel_block(
     start = image[..., : shape[2]]
 
     def spread(option: str, given: Any, default: Any) -> np.ndarray:
+        refuse_masked(f"{path}: {option}", given)
         try:
             numbers = np.asarray(default if given is None else given, np.float64)
             if np.any(np.isnan(numbers)):
@@ -279,6 +280,7 @@ def _check_lengths(request: Free, chosen: list[Chosen]) -> None:
     sizes = Counter(one.path for one in chosen)
     for option in ("lower", "upper", "mean", "deviation"):
         given = getattr(request, option)
+        refuse_masked(f"{chosen[0].path}: {option}", given)
         length = 1 if given is None else len(_flat(given))
         for path, size in sizes.items():
             if length not in (1, size):

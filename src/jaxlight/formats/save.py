@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 
 from ..scene import Scene, nodes
+from ..scene.checks import check_has_nodes
 from ..tracing import refuse_traced
 from .changes import changed_nodes, updated_children
 from .limits import as_path
@@ -38,8 +39,7 @@ def save(scene: Scene, path: str | Path) -> tuple[Path, ...]:
             differ; a change that no field of the file can hold; traced numbers.
         OSError: the folder of `path` does not exist, or the system refuses.
     """
-    if not isinstance(scene, Scene):
-        raise ValueError(f"save: scene: expected a Scene, got {type(scene).__name__}")
+    check_has_nodes("save: scene", scene)
     refuse_traced("save", scene)
     path = as_path("save: path", path)
     if path.suffix.lower() != ".x3d":

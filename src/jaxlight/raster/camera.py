@@ -10,6 +10,7 @@ import numpy as np
 
 from ..arrays import known_numbers
 from ..scene import Scene, nodes
+from ..scene.checks import check_has_nodes
 from ..scene.document import PlacedViewpoint
 from ..scene.fields import number, whole
 from ..scene.transforms import IDENTITY, apply_to_points, rotation_matrix
@@ -147,7 +148,7 @@ class Camera:
         Raises:
             ValueError: the scene has no shape with geometry, a direction of length 0, or an angle out of range.
         """
-        _check_scene("Camera.view_all", scene)
+        check_has_nodes("Camera.view_all", scene)
         _check_angle("Camera.view_all: field_of_view", field_of_view)
         sphere = bounding_sphere(scene)
         if sphere is None:
@@ -169,7 +170,7 @@ class Camera:
         fill at least a tenth of it (or there are none), otherwise `view_all`. Browsers do either; meshes have sizes of
         their own.
         """
-        _check_scene("Camera.default", scene)
+        check_has_nodes("Camera.default", scene)
         if scene.document.viewpoints:
             return cls.from_viewpoint(scene.document.viewpoints[0])
         default = cls.from_viewpoint(DEFAULT_VIEWPOINT)
@@ -202,6 +203,7 @@ class Camera:
                 [[1 / fx, -skew / (fx * fy), (skew * cy / fy - cx) / fx], [0, -1 / fy, cy / fy], [0, 0, -1.0]]
             )
         assert self.field_of_view is not None
+        width, height = _size("pixel_to_camera", width, height)
         scale = 2 * math.tan(self.field_of_view / 2) / min(width, height)
         return np.array([[scale, 0, -scale * width / 2], [0, -scale, scale * height / 2], [0, 0, -1.0]])
 
@@ -229,7 +231,7 @@ class Camera:
         Raises:
             ValueError: `width` or `height` is no whole number >= 1, `samples` none in [1, 256].
         """
-        width, height = (whole(f"rays: {name}", n, at_least=1) for name, n in (("width", width), ("height", height)))
+        width, height = _size("rays", width, height)
         offsets = sample_pattern(samples)
         u = np.arange(width)[None, :, None] + offsets[:, 0]
         v = np.arange(height)[:, None, None] + offsets[:, 1]
@@ -249,9 +251,8 @@ def bounding_sphere(scene: Scene) -> tuple[np.ndarray, float] | None:
     return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
 
 
-def _check_scene(where: str, scene: Any) -> None:
-    if not isinstance(scene, Scene):
-        raise ValueError(f"{where}: expected a Scene, got {type(scene).__name__}")
+def _size(where: str, width: int, height: int) -> tuple[int, int]:
+    return whole(f"{where}: width", width, at_least=1), whole(f"{where}: height", height, at_least=1)
 
 
 def _upright(toward: np.ndarray, up: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..scene import Scene, nodes
+from ..scene.checks import check_has_nodes
 from ..scene.fields import float_type
 from .camera import Camera
 from .depth_buffer import rows_of
@@ -55,8 +56,7 @@ def rasterize(
     Warns:
         UserWarning: nothing is seen, or the scene has no geometry; the buffer then has no samples.
     """
-    if not isinstance(scene, Scene):
-        raise ValueError(f"rasterize: scene: expected a Scene, got {type(scene).__name__}")
+    check_has_nodes("rasterize: scene", scene)
     dtype = float_type("rasterize: dtype", dtype)
     width, height = _size(width, width if height is None else height, samples)
     offsets = sample_pattern(samples)

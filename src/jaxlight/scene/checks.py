@@ -34,6 +34,14 @@ _UNEVEN = 0.02
 """How far from even the scale of a "similarity" may be: its numbers may be rounded to 8 bits."""
 
 
+def check_has_nodes(where: str, scene: Any) -> None:
+    """Raise ValueError for what is no Scene, and for one without the nodes that it was made of."""
+    if not isinstance(scene, Scene):
+        raise ValueError(f"{where}: expected a Scene, got {type(scene).__name__}")
+    if scene.document is None:
+        raise ValueError(f"{where}: expected a Scene of load or Scene.from_nodes, got one whose document is None")
+
+
 def check_scene(scene: Scene) -> None:
     """Raise ValueError for what is no Scene, and for leaves that are not what its classes state."""
     if not isinstance(scene, Scene):
