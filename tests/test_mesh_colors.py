@@ -261,6 +261,30 @@ def test_other_names_of_ply_colors_are_left_where_the_usual_ones_are(tmp_path: P
     np.testing.assert_array_equal(shape.geometry.color.color[0], np.array([255, 128, 1]) / 255)
 
 
+@pytest.mark.parametrize(
+    ("kinds", "row"),
+    [
+        (("uchar", "float"), "255 51 0 0.5"),
+        (("ushort", "uchar"), "65535 13107 0 128"),
+        (("float", "uchar"), "1 0.2 0 128"),
+    ],
+)
+def test_each_color_of_a_ply_has_a_type_of_its_own(tmp_path: Path, kinds: tuple[str, str], row: str) -> None:
+    text = triangle_ply(row, kinds[0], ("red", "green", "blue", "alpha"))
+    (tmp_path / "a.ply").write_text(text.replace(f"{kinds[0]} alpha", f"{kinds[1]} alpha"))
+    (shape,) = shapes_of(tmp_path / "a.ply")
+    np.testing.assert_allclose(shape.geometry.color.color[0], (1, 0.2, 0, 0.5), atol=0.002)
+
+
+def test_a_comment_of_a_ply_may_say_anything(tmp_path: Path) -> None:
+    text = triangle_ply("255 51 0", "uchar", ("red", "green", "blue"))
+    (tmp_path / "a.ply").write_text(
+        text.replace("element vertex", "comment the header ends with end_header\nelement vertex")
+    )
+    (shape,) = shapes_of(tmp_path / "a.ply")
+    np.testing.assert_array_equal(shape.geometry.color.color[0], (1, 0.2, 0))
+
+
 @pytest.mark.parametrize("name", ["a.obj", "a.ply"])
 def test_colors_of_0_to_255_are_told_from_those_of_0_to_1(tmp_path: Path, name: str) -> None:
     if name == "a.obj":

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
+import struct
 import warnings
 from pathlib import Path
 
@@ -265,12 +267,11 @@ def textured(header: dict, use: object) -> None:
         (lambda h: h["meshes"][0].pop("primitives"), "meshes[0]: expected an object with primitives, got {"),
         (lambda h: h["meshes"][0]["primitives"][0].update(material=9), "mesh 0 has 9 of the file's 1 materials"),
         (lambda h: h["meshes"][0]["primitives"][0].update(material=-1), "mesh 0 has -1 of the file's 1 materials"),
-        (lambda h: h["meshes"][0]["primitives"][0].update(mode="4"), "primitives[0].mode: expected 0 or 1 or"),
+        (lambda h: h["meshes"][0]["primitives"][0].update(mode="4"), "primitives[0].mode: expected a whole number >="),
         (
             lambda h: h["meshes"][0]["primitives"][0].pop("attributes"),
             "primitives[0]: expected an object with attributes",
         ),
-        (lambda h: h["meshes"][0]["primitives"][0]["attributes"].pop("POSITION"), "expected an object with POSITION"),
         (lambda h: h["nodes"][0].update(scale=[1, 1]), "nodes[0].scale: expected 3 finite numbers, got [1, 1]"),
         (lambda h: h["nodes"][0].update(scale="big"), "nodes[0].scale: expected 3 finite numbers, got 'big'"),
         (lambda h: h["nodes"][0].update(rotation=[0, 0, 1]), "nodes[0].rotation: expected 4 finite numbers"),
@@ -374,5 +375,68 @@ def test_texture_coordinates_of_integers_without_a_texture_are_left_out(tmp_path
         header["materials"] = [{}]
         header["accessors"][attributes(header)["TEXCOORD_0"]] |= {"componentType": 5123, "normalized": True}
 
-    with pytest.warns(SceneFileWarning, match="fields not used: glTF TEXCOORD_0 of integers x1"):
-        assert one_shape(tmp_path, rewritten(glb, change)).geometry.tex_coord is None
+    assert one_shape(tmp_path, rewritten(glb, change)).geometry.tex_coord is None
+
+
+def test_integers_may_be_written_as_decimals(tmp_path: Path, glb: bytes) -> None:
+    """As glTF 2.0 says of its JSON encoding."""
+
+    def change(value: object) -> object:
+        if isinstance(value, dict):
+            return {name: change(own) for name, own in value.items()}
+        if isinstance(value, list):
+            return [change(own) for own in value]
+        return float(value) if type(value) is int else value
+
+    whole = one_shape(tmp_path, glb)
+    decimals = one_shape(tmp_path, rewritten(glb, lambda header: header.update(change(dict(header)))))
+    np.testing.assert_array_equal(decimals.geometry.coord_index, whole.geometry.coord_index)
+    np.testing.assert_array_equal(decimals.geometry.coord.point, whole.geometry.coord.point)
+    assert decimals.appearance.texture is not None
+
+
+def test_what_later_versions_add_is_left_out(tmp_path: Path, glb: bytes) -> None:
+    """glTF's lists of words and modes are open, and a primitive need not have positions."""
+
+    def change(header: dict) -> None:
+        header["materials"][0]["alphaMode"] = "QUANTIZE"
+        (primitive,) = header["meshes"][0]["primitives"]
+        more = [{**primitive, "mode": 7}, {"attributes": {"_FOO": 0}}, {"attributes": {"TEXCOORD_0": 1}, "mode": 0}]
+        header["meshes"][0]["primitives"] += more
+
+    expected = "glTF POINTS x1, glTF mode 7 x1, glTF primitive without POSITION x1; .*alphaMode QUANTIZE"
+    with pytest.warns(SceneFileWarning, match=expected):
+        assert type(one_shape(tmp_path, rewritten(glb, change)).geometry) is n.IndexedFaceSet
+
+
+def test_what_draws_no_triangles_need_not_be_readable(tmp_path: Path, glb: bytes) -> None:
+    def change(header: dict) -> None:
+        (primitive,) = header["meshes"][0]["primitives"]
+        header["accessors"].append({**header["accessors"][attributes(header)["POSITION"]], "sparse": {}})
+        points = {"attributes": {"POSITION": len(header["accessors"]) - 1}, "mode": 0}
+        header["meshes"][0]["primitives"] = [points, primitive]
+
+    with pytest.warns(SceneFileWarning, match="glTF POINTS x1"):
+        assert one_shape(tmp_path, rewritten(glb, change)).geometry is not None
+
+
+def test_buffers_beside_the_file_hold_entries_too(tmp_path: Path) -> None:
+    """The header alone is far shorter than what it announces."""
+    mesh = trimesh.creation.icosphere(subdivisions=4)
+    files = trimesh.Scene(mesh).export(file_type="gltf")
+    header = json.loads(files["model.gltf"])
+    for buffer in header["buffers"]:
+        (tmp_path / buffer["uri"]).write_bytes(files[buffer["uri"]])
+    chunk = json.dumps(header).encode()
+    chunk += b" " * (-len(chunk) % 4)
+    (tmp_path / "a.glb").write_bytes(struct.pack("<4s4I", b"glTF", 2, 20 + len(chunk), len(chunk), 0x4E4F534A) + chunk)
+    (shape,) = shapes_of(tmp_path / "a.glb")
+    assert np.count_nonzero(shape.geometry.coord_index == -1) == len(mesh.faces)
+
+
+def test_factors_that_round_beyond_1_are_not_named(tmp_path: Path, glb: bytes) -> None:
+    factors = {"baseColorFactor": [1.0000001, 0.5, -1e-8, 1], "roughnessFactor": 1.0}
+    data = rewritten(glb, lambda header: header.update(materials=[{"pbrMetallicRoughness": factors}]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert one_shape(tmp_path, data).appearance.material.diffuse_color == (1, 0.5, 0)

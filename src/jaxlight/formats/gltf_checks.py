@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from .errors import SceneFileError
 from .gltf_schema import COMPONENT_BYTES, COMPONENTS, LIGHTS, TRANSFORM, UNLIT, check_types
+from .limits import MAX_FILE_BYTES
 from .mesh_materials import SPECULAR_GLOSSINESS
 from .notes import ReadNotes
 
@@ -19,11 +21,14 @@ _SHARED = 4
 """Entries of accessors a byte of the file."""
 _MOST_ENTRIES = 2**24
 """Of all primitives together, where primitives share accessors."""
-_UNREAD_MODES = {2: "LINE_LOOP", 3: "LINE_STRIP", 6: "TRIANGLE_FAN"}
-"""Of primitives; others without triangles are noted where they would be placed."""
+_TRIANGLES, _TRIANGLE_STRIP = 4, 5
+_OTHER_MODES = {0: "POINTS", 1: "LINES", 2: "LINE_LOOP", 3: "LINE_STRIP", 6: "TRIANGLE_FAN"}
+"""Of primitives; they are not read."""
 _TYPES = {"POSITION": ("VEC3",), "NORMAL": ("VEC3",), "TEXCOORD": ("VEC2",), "COLOR": ("VEC3", "VEC4")}
 """Of attributes, by their names without the number of the set."""
 FLOAT = 5126
+_ROUNDED = 1e-6
+"""What is out of range by less is not named."""
 _ROWS = {
     "accessors": {"bufferView": "bufferViews"},
     "bufferViews": {"buffer": "buffers"},
@@ -43,7 +48,8 @@ def check_header(path: Path, header: dict[str, Any], size: int, held: int, notes
 
     Args:
         path: of the file.
-        header: of which factors are clamped here, and nodes scaled to nothing and cameras are taken out.
+        header: of which factors are clamped here, and primitives without triangles, nodes scaled to nothing and cameras
+            are taken out.
         size: bytes of the file.
         held: those of them that stand behind the header.
         notes: gets what is not read.
@@ -58,6 +64,7 @@ def check_header(path: Path, header: dict[str, Any], size: int, held: int, notes
         if name not in READ_EXTENSIONS:
             message = f"needs the glTF extension {name}, which jaxlight does not read; it reads"
             raise SceneFileError(path, None, f"{message} {', '.join(READ_EXTENSIONS)}")
+    size += sum(min(own["byteLength"], MAX_FILE_BYTES) for own in header.get("buffers", []) if _is_beside(own))
     counts = [accessor["count"] for accessor in header.get("accessors", [])]
     # An entry takes a byte or more; what several accessors read may be the same.
     if sum(counts) > _SHARED * size:
@@ -70,6 +77,7 @@ def check_header(path: Path, header: dict[str, Any], size: int, held: int, notes
     for row, accessor in enumerate(header.get("accessors", [])):
         _check_accessor(path, header, row, accessor)
     for row, mesh in enumerate(header.get("meshes", [])):
+        mesh["primitives"] = list(_with_triangles(mesh["primitives"], notes))
         _check_mesh(path, header, row, mesh, notes)
     # A primitive becomes a mesh with numbers of its own, whatever it shares with others.
     primitives = [primitive for mesh in header.get("meshes", []) for primitive in mesh["primitives"]]
@@ -86,6 +94,8 @@ def check_header(path: Path, header: dict[str, Any], size: int, held: int, notes
     if "scenes" in header:
         check_rows(path, "header", [header.get("scene", 0)], header, "scenes")
     for row, material in enumerate(header.get("materials", [])):
+        if material.get("alphaMode", "OPAQUE") not in ("OPAQUE", "MASK", "BLEND"):
+            notes.simplified[f"glTF alphaMode {material.pop('alphaMode'):.40} (read as OPAQUE)"] += 1
         _clamp_factors(f"glTF materials[{row}]", material, notes)
     for kind in ("animations", "skins", "cameras"):
         if header.get(kind):
@@ -107,6 +117,11 @@ def _check_version(path: Path, asset: dict[str, Any]) -> None:
         raise SceneFileError(path, None, f"glTF of version {version:.40}; jaxlight reads 2.0")
     if needed != "2.0":
         raise SceneFileError(path, None, f"needs a reader of glTF {needed:.40}; jaxlight reads 2.0")
+
+
+def _is_beside(buffer: dict[str, Any]) -> bool:
+    """Whether a buffer has a file of its own."""
+    return not buffer.get("uri", "data:").startswith("data:")
 
 
 def _check_buffers(path: Path, header: dict[str, Any], held: int) -> None:
@@ -137,11 +152,20 @@ def _check_accessor(path: Path, header: dict[str, Any], row: int, accessor: dict
         raise SceneFileError(path, None, f"{message} bufferView has {view['byteLength']}")
 
 
+def _with_triangles(primitives: list[dict[str, Any]], notes: ReadNotes) -> Iterator[dict[str, Any]]:
+    """The primitives that are read; notes get the others."""
+    for primitive in primitives:
+        mode = primitive.get("mode", _TRIANGLES)
+        if mode not in (_TRIANGLES, _TRIANGLE_STRIP):
+            notes.skipped[f"glTF {_OTHER_MODES.get(mode, f'mode {mode}')}"] += 1
+        elif "POSITION" not in primitive["attributes"]:
+            notes.skipped["glTF primitive without POSITION"] += 1
+        else:
+            yield primitive
+
+
 def _check_mesh(path: Path, header: dict[str, Any], row: int, mesh: dict[str, Any], notes: ReadNotes) -> None:
     for primitive in mesh["primitives"]:
-        mode = primitive.get("mode", 4)
-        if mode in _UNREAD_MODES:
-            notes.skipped[f"glTF {_UNREAD_MODES[mode]}"] += 1
         used = _used(primitive)
         check_rows(path, f"mesh {row}", used, header, "accessors")
         material = [primitive["material"]] if "material" in primitive else []
@@ -169,7 +193,7 @@ def _check_triangles(path: Path, header: dict[str, Any], owner: str, primitive: 
             raise SceneFileError(path, None, f"{owner} has indices of {corners['type']}, expected SCALAR")
         if corners["componentType"] == FLOAT:
             raise SceneFileError(path, None, f"{owner} has indices of floats, expected integers")
-    if primitive.get("mode", 4) == 4 and corners["count"] % 3:
+    if primitive.get("mode", _TRIANGLES) == _TRIANGLES and corners["count"] % 3:
         raise SceneFileError(path, None, f"{owner} has {corners['count']} corners of triangles; each needs 3")
 
 
@@ -197,7 +221,7 @@ def _clamp_factors(where: str, owner: dict[str, Any], notes: ReadNotes) -> None:
     for name, value in owner.items():
         if name in _UNIT_FACTORS:
             owner[name] = np.clip(np.asarray(value, dtype=np.float64), 0.0, 1.0).tolist()
-            if owner[name] != value:
+            if not np.allclose(owner[name], value, rtol=0, atol=_ROUNDED):
                 notes.clamped.append(f"{where}.{name}")
         elif name in ("pbrMetallicRoughness", "extensions", SPECULAR_GLOSSINESS):
             _clamp_factors(f"{where}.{name}", value, notes)

@@ -135,7 +135,7 @@ def _simplified_materials(path: Path, header: dict[str, Any], notes: ReadNotes) 
             materials.append(_textured(path, header, row, material, use, notes))
         else:
             materials.append(material)
-            _leave_integers_out(header, row, notes)
+            _leave_integers_out(header, row)
     bare = [
         primitive
         for mesh in header.get("meshes", [])
@@ -156,13 +156,12 @@ def _primitives_of(header: dict[str, Any], row: int) -> Iterator[dict[str, Any]]
     return (p for mesh in header.get("meshes", []) for p in mesh["primitives"] if p.get("material") == row)
 
 
-def _leave_integers_out(header: dict[str, Any], row: int, notes: ReadNotes) -> None:
+def _leave_integers_out(header: dict[str, Any], row: int) -> None:
     """Leave out texture coordinates of integers, of which trimesh makes no fractions, where no texture needs them."""
     for primitive in _primitives_of(header, row):
         accessor = primitive["attributes"].get("TEXCOORD_0")
         if accessor is not None and header["accessors"][accessor]["componentType"] != FLOAT:
             del primitive["attributes"]["TEXCOORD_0"]
-            notes.unused["glTF TEXCOORD_0 of integers"] += 1
 
 
 def _textured(

@@ -14,9 +14,9 @@ from .mesh_materials import SPECULAR_GLOSSINESS
 UNLIT, TRANSFORM, LIGHTS = "KHR_materials_unlit", "KHR_texture_transform", "KHR_lights_punctual"
 COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+ANY = "*"
 _NEEDED = {
     "accessors": ("componentType", "count", "type"),
-    "attributes": ("POSITION",),
     "baseColorTexture": ("index",),
     "bufferViews": ("buffer", "byteLength"),
     "buffers": ("byteLength",),
@@ -28,12 +28,17 @@ _NEEDED = {
 
 
 def _count(where: str, value: Any) -> int:
-    return whole(where, value, at_least=0)
+    return whole(where, _integer(value), at_least=0)
 
 
 def _row(where: str, value: Any) -> Any:
     """An index; whether the file has what it means is seen where all of the header is known to be sound."""
-    return value
+    return _integer(value)
+
+
+def _integer(value: Any) -> Any:
+    """The integer that a number is, however it is written: glTF lets 4 be 4.0."""
+    return int(value) if type(value) is float and value.is_integer() else value
 
 
 def _finite(where: str, value: Any) -> float:
@@ -58,6 +63,7 @@ def _one_of(*values: Any) -> Callable[[str, Any], Any]:
     """A check for one of the given values."""
 
     def check(where: str, value: Any) -> Any:
+        value = _integer(value)
         if value not in values:
             raise ValueError(f"{where}: expected {' or '.join(map(repr, values))}, got {value!r:.60}")
         return value
@@ -92,7 +98,7 @@ _SCHEMA = {
     "images": [{"bufferView": _row, "mimeType": string, "uri": string}],
     "materials": [
         {
-            "alphaMode": _one_of("OPAQUE", "MASK", "BLEND"),
+            "alphaMode": string,
             "doubleSided": boolean,
             "emissiveFactor": _numbers(3),
             "extensions": {
@@ -116,7 +122,7 @@ _SCHEMA = {
         {
             "name": string,
             "primitives": [
-                {"attributes": {}, "indices": _row, "material": _row, "mode": _one_of(*range(7)), "targets": [{}]}
+                {"attributes": {ANY: _row}, "indices": _row, "material": _row, "mode": _count, "targets": [{}]}
             ],
             "weights": _numbers(),
         }
@@ -139,11 +145,12 @@ _SCHEMA = {
     "skins": [{}],
     "textures": [{"extensions": {}, "sampler": _row, "source": _row}],
 }
-"""Of an object by its fields, of a list by its one entry, otherwise a check as those of `scene.fields`."""
+"""Of an object by its fields (ANY: whatever their names), of a list by its one entry, otherwise a check as those of
+`scene.fields`, whose result takes the place of the value."""
 
 
 def check_types(path: Path, header: Any) -> None:
-    """Check all that is read of a header.
+    """Check all that is read of a header; integers are integers then, however they are written.
 
     Raises:
         SceneFileError: a value is of another type or size than glTF states, or is not there; says which.
@@ -154,21 +161,23 @@ def check_types(path: Path, header: Any) -> None:
         raise SceneFileError(path, None, f"glTF {error}") from None
 
 
-def _check(where: str, name: str, value: Any, schema: Any) -> None:
+def _check(where: str, name: str, value: Any, schema: Any) -> Any:
+    """The value as it is read."""
     if isinstance(schema, dict):
         _expect(where or name, "an object", value, dict)
         for needed in _NEEDED.get(name, ()):
             if needed not in value:
                 raise ValueError(f"{where}: expected an object with {needed}, got {value!r:.60}")
-        for field, inner in schema.items():
+        fields = dict.fromkeys(value, schema[ANY]) if ANY in schema else schema
+        for field, inner in fields.items():
             if field in value:
-                _check(f"{where}.{field}".removeprefix("."), field, value[field], inner)
+                value[field] = _check(f"{where}.{field}".removeprefix("."), field, value[field], inner)
     elif isinstance(schema, list):
         _expect(where, "a list", value, list)
-        for row, entry in enumerate(value):
-            _check(f"{where}[{row}]", name, entry, schema[0])
+        value[:] = [_check(f"{where}[{row}]", name, entry, schema[0]) for row, entry in enumerate(value)]
     else:
-        schema(where, value)
+        return schema(where, value)
+    return value
 
 
 def _expect(where: str, what: str, value: Any, kind: type) -> None:

@@ -12,6 +12,8 @@ from .gltf_header import GltfMaterial
 from .levels import are_bytes
 from .notes import ReadNotes
 
+ROUNDED = 1e-6
+"""What is out of range by less is not named."""
 CREASE_ANGLE = np.pi / 3
 """Radians. Meshes without normals are smooth up to this angle between faces: curved surfaces are, boxes are not."""
 
@@ -82,9 +84,9 @@ def _colors(
     colors = np.asarray(colors)
     largest = np.iinfo(colors.dtype).max if np.issubdtype(colors.dtype, np.integer) else 1.0
     values = colors.astype(np.float64) / largest
-    if np.min(values, initial=0.0) < 0.0 or np.max(values, initial=0.0) > 1.0:
+    if np.min(values, initial=0.0) < -ROUNDED or np.max(values, initial=0.0) > 1.0 + ROUNDED:
         notes.clamped.append(f"colours of {'faces' if on_faces else 'vertices'} ({values.min():g} to {values.max():g})")
-        values = np.clip(values, 0.0, 1.0)
+    values = np.clip(values, 0.0, 1.0)
     if (material is not None and material.is_opaque) or np.all(values[:, 3:] == 1.0):
         values = values[:, :3]
     if material is not None and not material.is_stand_in:
@@ -104,12 +106,14 @@ def _colors_of_ply(mesh: Any, element: str, count: int, notes: ReadNotes) -> np.
         return None
     columns = [np.ravel(data[name]) for name in ("red", "green", "blue", "alpha") if name in there]
     types = {column.dtype.str.lstrip("<>|=") for column in columns}
-    if len(types) > 1 or not types <= {"u1", "u2", "f4", "f8"} or any(column.shape != (count,) for column in columns):
+    if not types <= {"u1", "u2", "f4", "f8"} or any(column.shape != (count,) for column in columns):
         return None
-    colors = np.stack(columns, axis=1)
-    if colors.dtype.kind == "f" and are_bytes(np.max(colors, initial=0)):
+    largest = [np.iinfo(column.dtype).max if column.dtype.kind == "u" else 1.0 for column in columns]
+    colors = np.stack([column.astype(np.float64) / own for column, own in zip(columns, largest, strict=True)], axis=1)
+    of_floats = [place for place, column in enumerate(columns) if column.dtype.kind == "f"]
+    if are_bytes(np.max(colors[:, of_floats], initial=0)):
         notes.simplified["ply colours above 2, read as 0 to 255"] += 1
-        return colors.astype(np.float64) / 255.0
+        colors[:, of_floats] /= 255.0
     return colors
 
 

@@ -82,7 +82,8 @@ def read_ply_header(path: Path, data: bytes) -> PlyHeader:
             line = element.lines[name]
             lines[line - 1] = f"{lines[line - 1].rstrip().removesuffix(name)}{usual}"
         _check_element(path, element)
-    rest = [text for text in lines[1:] if text.strip() and text.split()[0] != "format"]
+    # Of comments trimesh needs those that name a texture, and takes any with end_header in it for the end.
+    rest = [text for text in lines[1:] if not re.match(r"\s*(format\b|comment\b(?!\s+TextureFile)|$)", text)]
     data = "\n".join(["ply", f"format {form} 1.0", *rest, ""]).encode()
     return PlyHeader(form == "ascii", elements, data, found.end())
 
