@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -35,6 +38,7 @@ from jaxlight import (
     write_image,
     write_report,
 )
+from jaxlight.formats.levels import is_chosen
 from jaxlight.image import encode, resolve
 
 DIFFUSE = "Material[0].diffuse_color"
@@ -273,3 +277,29 @@ def test_what_needs_numbers_refuses_traced_ones(name: str, scene: Scene, view: V
 def test_numbers_that_are_known_are_compared_inside_jit_too() -> None:
     known = np.zeros((2, 2))
     assert jax.jit(lambda x: x + compare(known, known).pixels)(1.0) == 5
+
+
+def test_numbers_of_any_kind_are_numbers() -> None:
+    """Whatever NumPy makes of a list of them."""
+    third = [jnp.bfloat16(1 / 3)] * 3
+    assert nodes.Material(diffuse_color=third).diffuse_color == tuple(float(jnp.bfloat16(1 / 3)) for _ in third)
+    assert nodes.Material(shininess=Decimal("0.25"), transparency=Fraction(1, 4)).shininess == 0.25
+    with pytest.raises(ValueError, match="shininess: expected a finite number"):
+        nodes.Material(shininess=np.array(["0.25"], object)[0])
+    mask = jnp.array([0.0, 0.2, 0.6, 1.0], jnp.bfloat16)
+    assert is_chosen(mask).tolist() == [False, False, True, True]
+    with pytest.raises(ValueError, match="mask: 1 of its 4 numbers are NaN"):
+        is_chosen(mask.at[0].set(jnp.nan))
+
+
+class Foreign:
+    """Numbers of another library, whose types NumPy does not know."""
+
+    dtype = object()
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        return np.full((2, 3, 3), 0.5)
+
+
+def test_arrays_of_other_libraries_are_numbers() -> None:
+    np.testing.assert_array_equal(encode(Foreign(), "none"), np.full((2, 3, 3), 0.5))

@@ -276,6 +276,30 @@ def test_an_interrupt_that_somebody_swallows_ends_the_fit(tmp_path: Path) -> Non
     assert result.outcome == "interrupted" and len(result.history) == 1
 
 
+def test_an_interrupt_that_its_handler_deals_with_is_none_of_the_fit(tmp_path: Path, whole: Fit) -> None:
+    """And a handler that somebody sets meanwhile stays."""
+    heard: list[int] = []
+
+    def own(number: int, frame: Any) -> None:
+        heard.append(number)
+
+    def progress(step: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        if step.step == 3:
+            signal.signal(signal.SIGINT, later)
+
+    def later(number: int, frame: Any) -> None:
+        heard.append(-number)
+
+    before = signal.signal(signal.SIGINT, own)
+    try:
+        result = run(tmp_path, progress=progress)
+        assert signal.getsignal(signal.SIGINT) is later
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert same(result, whole) and len(heard) == len(whole.history) and min(heard) < 0 < max(heard)
+
+
 def test_an_interrupt_before_the_first_evaluation_claims_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*args: Any) -> None:
         raise KeyboardInterrupt

@@ -390,6 +390,25 @@ def test_residuals_that_a_fit_draws_to_0_tell_nothing_of_its_errors(tmp_path: Pa
     assert report.count("error not known") == 3 and "not determined" not in report
 
 
+def test_priors_are_no_part_of_what_is_left_of_pictures() -> None:
+    free = [Free(DIFFUSE, mean=0.1, deviation=0.01)]
+    with precision("float64") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, noise=0.02), noise=0.02)
+        assert not any("what is left" in line for line in at_start(sphere_scene(dtype=dtype), view, free).messages())
+
+
+@pytest.mark.parametrize("loss", ["squares", "huber"])
+def test_few_residuals_tell_their_errors_too(loss: Any) -> None:
+    points = np.array([[0.0, 0.0, 1.0], [0.0, 0.6, 0.8], [0.6, 0.0, 0.8]])
+    with precision("float64") as dtype:
+        scene, three = sphere_scene(dtype=dtype), SampleBuffer.create(points, points, (0, 0, 4), dtype=dtype)
+        seen = np.asarray(shade(scene, three))[:, :3] + 0.01 * np.random.default_rng(0).normal(size=(3, 3))
+        scale = None if loss == "squares" else 0.1
+        problem, description = make_problem(scene, View(three, seen), [DIFFUSE], loss=loss, loss_scale=scale)
+        found = uncertainty(problem, description, problem.parameters.start)
+    assert np.all(np.isfinite(found.standard_error)) and found.messages() == []
+
+
 def test_a_coordinate_near_0_is_seen_as_well_as_the_others() -> None:
     with precision("float64") as dtype:
         scene = sphere_scene(key_light(location=(2.0, 1e-4, 4.0)), dtype=dtype)

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from jaxlight import Camera, Orthographic, SampleBuffer, Scene, nodes, rasterize, samples_from_maps
+from jaxlight.image import sky
 
 WIDTH, HEIGHT = 41, 33
 CAMERA = Camera.look_at((1.0, 2.0, 8.0), (0, 0, 0), field_of_view=0.5)
@@ -155,7 +156,8 @@ def test_orthographic_views() -> None:
     to_viewer = np.asarray(found.eye) - position
     to_viewer /= np.linalg.norm(to_viewer, axis=1, keepdims=True)
     np.testing.assert_allclose(to_viewer, np.tile(turn[:, 2], (24, 1)), atol=1e-6)
-    assert found.pixel_to_world is None
+    assert found.pixel_to_world is not None
+    np.testing.assert_allclose(np.asarray(found.pixel_to_world) @ (2.5, 1.5, 1), -turn[:, 2], atol=1e-6)
 
 
 def test_every_pixel_can_have_its_own_texel() -> None:
@@ -228,6 +230,15 @@ HOLE[1, 2] = np.nan
 def test_errors_name_the_map(normal: object, arguments: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         samples_from_maps(normal, CAMERA, **arguments)
+
+
+def test_behind_parallel_rays_the_sky_has_the_colour_of_their_direction() -> None:
+    """They lead down at 45 degrees, three quarters of the way from the zenith to the nadir."""
+    half = 0.5**0.5
+    view = Orthographic(rotation=np.array([[1, 0, 0], [0, half, half], [0, -half, half]]))
+    stops = nodes.Background(sky_color=[(1, 0, 0), (0, 1, 0), (0, 0, 1)], sky_angle=(np.pi / 2, np.pi))
+    found = sky(Scene.from_nodes([stops]), samples_from_maps(NORMAL, view, depth=0.0))
+    np.testing.assert_allclose(found, np.tile([0, 0.5, 0.5], (3, 4, 1)), atol=1e-6)
 
 
 def test_errors_of_views_and_files(tmp_path: Path) -> None:

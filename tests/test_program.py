@@ -62,6 +62,16 @@ def test_rules_of_a_derivative_are_compared_by_what_they_compute() -> None:
     assert program(jax.nn.softplus) == program(lambda c: jax.nn.softplus(c)) != program(jax.nn.relu)
 
 
+def test_what_cannot_be_differentiated_by_some_number_is_equal_to_itself() -> None:
+    """Nobody may ask for that number."""
+
+    def grown(c: Any) -> Any:
+        return jax.nn.relu(jax.lax.while_loop(lambda x: jnp.sum(x) < 1000, lambda x: 2 * x, c))
+
+    one, other = program(grown), program(lambda c: grown(c))
+    assert one != other and one == one and hash(one) == hash(one)
+
+
 def test_what_cannot_be_compared_is_equal_to_itself() -> None:
     def called(c: Any) -> Any:
         return jax.pure_callback(lambda own: np.asarray(own), jax.ShapeDtypeStruct(c.shape, c.dtype), c)

@@ -233,6 +233,18 @@ def test_triangle_sets_take_attributes_by_vertex_and_drop_remainders() -> None:
     np.testing.assert_array_equal(plain.normal, [[(0, 0, 1)] * 3])
 
 
+def test_what_is_too_much_is_ignored() -> None:
+    """As X3D says of one or two corners; and of colours by face nobody asks for those of faces that are not there."""
+    coord = nodes.Coordinate(point=[*SQUARE.point[:3], (9, 9, 9)])
+    three = nodes.Color(color=[(1, 0, 0)] * 3)
+    indexed = nodes.IndexedTriangleSet(coord=coord, index=[0, 1, 2, 9], color=three)
+    by_face = nodes.IndexedFaceSet(
+        coord=coord, coord_index=[0, 1, 2, -1], color=three, color_index=[0, 7], color_per_vertex=False
+    )
+    for geometry in (nodes.TriangleSet(coord=coord, color=three), indexed, by_face):
+        assert len(triangles_of(geometry)) == 1
+
+
 def test_faces_without_area_are_dropped() -> None:
     points = nodes.Coordinate(point=[(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0)])
     faces = nodes.IndexedFaceSet(coord=points, coord_index=[0, 1, 2, -1, 0, 0, 1, -1, 0, 1, -1, 0, 1, 3, -1])
@@ -282,7 +294,7 @@ def test_faces_without_area_are_dropped() -> None:
         (nodes.IndexedTriangleSet(coord=SQUARE, index=[0, 1, -1]), "index: expected indices >= 0"),
         (
             nodes.TriangleSet(coord=SQUARE, color=nodes.Color(color=[(1, 1, 1)])),
-            "index 3, but color has 1 entries",
+            "geometry.coord: index 2, but color has 1 entries",
         ),
         (
             nodes.IndexedFaceSet(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numbers import Real
+import datetime
 from typing import Any
 
 import jax.numpy as jnp
@@ -18,6 +18,8 @@ def array_of(values: Any, dtype: Any) -> Array:
     return jnp.asarray(rounded, dtype)
 
 
+_NO_NUMBERS = (str, bytes, complex, datetime.date, datetime.timedelta, type(None))
+"""Of which NumPy makes numbers all the same."""
 FILL = "fill them first: array.filled(0)"
 """What to do about masked numbers where nothing takes a mask; and where something does:"""
 GIVE_MASK = "give its data, and False where it is masked as mask="
@@ -37,14 +39,24 @@ def known_numbers(where: str, value: Any, allowed: str = "real numbers", *, inst
     """
     refuse_masked(where, value, instead)
     try:
-        array = np.asarray(value)
-        if array.dtype.kind == "O" and all(isinstance(number, Real) for number in array.flat):
-            array = array.astype(np.float64)  # integers that no integer type holds
-        if array.dtype.kind not in "biuf" and not jnp.issubdtype(array.dtype, jnp.floating):
+        array = _as_given(value)
+        if array.dtype.kind == "O" and not any(isinstance(number, _NO_NUMBERS) for number in array.flat):
+            array = array.astype(np.float64)  # integers that no integer type holds, decimals, numbers of JAX
+        if jnp.issubdtype(array.dtype, jnp.floating) and array.dtype.kind != "f":
+            array = array.astype(np.float32)  # bfloat16, of which NumPy knows nothing
+        if array.dtype.kind not in "biuf":
             raise TypeError
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{where}: expected {allowed}, got {' '.join(repr(value).split()):.60}") from None
     return array
+
+
+def _as_given(value: Any) -> np.ndarray:
+    """An array of NumPy's choice; of objects where it finds none, as for a list of JAX's bfloat16."""
+    try:
+        return np.asarray(value)
+    except TypeError:
+        return np.asarray(value, dtype=object)
 
 
 def real_array(where: str, value: Any) -> Array:

@@ -11,16 +11,24 @@ from typing import Any
 
 @contextlib.contextmanager
 def remembered() -> Iterator[Callable[[], None]]:
-    """Ctrl-C is heard as ever; what is given raises a `KeyboardInterrupt` that came and that somebody swallowed.
+    """Ctrl-C is heard as ever; what is given raises a `KeyboardInterrupt` that came of it and that somebody swallowed.
 
     Where a compiler calls Python back, exceptions may be lost.
     """
-    with _listening(lambda handler, *interrupt: handler(*interrupt)) as came:
+    raised = []
 
-        def raise_swallowed() -> None:
-            if came:
-                raise KeyboardInterrupt
+    def answer(handler: Callable[..., Any], *interrupt: Any) -> None:
+        try:
+            handler(*interrupt)
+        except KeyboardInterrupt as error:
+            raised.append(error)
+            raise
 
+    def raise_swallowed() -> None:
+        if raised:
+            raise KeyboardInterrupt
+
+    with _listening(answer):
         yield raise_swallowed
 
 
@@ -58,4 +66,5 @@ def _listening(answer: Callable[..., None]) -> Iterator[list[Any]]:
     try:
         yield came
     finally:
-        signal.signal(signal.SIGINT, handler)
+        if signal.getsignal(signal.SIGINT) is hear:  # somebody may have taken over
+            signal.signal(signal.SIGINT, handler)

@@ -66,7 +66,7 @@ def loss(problem: Problem, values: Float[Array, " parameters"], *, by_view: bool
         return _over_all(problem, view, of_tile, carry, together)
 
     (total,) = over_views(problem, of_view, (jnp.zeros(LANES, values.dtype),))
-    return jnp.sum(total) + _prior_loss(problem, values)
+    return jnp.sum(total) + prior_loss(problem, values)
 
 
 def _together(problem: Problem, view: ViewData) -> int:
@@ -115,7 +115,7 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
         return residual if weight is None else weight * residual
 
     total, gradient = over_views(problem, of_view, (jnp.zeros(LANES, values.dtype), jnp.zeros_like(values)))
-    prior, prior_gradient = jax.value_and_grad(lambda v: _prior_loss(problem, v))(values)
+    prior, prior_gradient = jax.value_and_grad(lambda v: prior_loss(problem, v))(values)
     return jnp.sum(total) + prior, gradient + prior_gradient
 
 
@@ -216,7 +216,7 @@ def _equations(problem: Problem, values: Array, moments: Moments) -> NormalEquat
 
 
 def _loss_of(problem: Problem, values: Array, moments: Moments) -> Array:
-    return jnp.sum(moments.loss) + _prior_loss(problem, values)
+    return jnp.sum(moments.loss) + prior_loss(problem, values)
 
 
 def residuals(problem: Problem, values: Float[Array, " parameters"]) -> tuple[Array, ...]:
@@ -241,7 +241,7 @@ def view_model(world: World, view: ViewData) -> Float[Array, "3 points"]:
     return view_colors(scene_of_view(world, view), view, world.exposure[view.row])
 
 
-def _prior_loss(problem: Problem, values: Array) -> Array:
+def prior_loss(problem: Problem, values: Array) -> Array:
     parameters = problem.parameters
     gaussian = jnp.sum(parameters.prior_precision * (values - parameters.prior_mean) ** 2) / 2
     return gaussian + sum((neighbour_loss(block, values) for block in parameters.blocks), jnp.zeros((), values.dtype))

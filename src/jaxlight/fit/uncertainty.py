@@ -25,7 +25,8 @@ from .problem import Description, Problem
 from .widened import widened
 
 ENOUGH = 10
-"""Residuals within a robust loss's scale, or as many that tell as much, from which on its errors are stated."""
+"""Residuals within a robust loss's scale, or as many that tell as much, from which on its errors are stated; fewer if
+they are half of all."""
 NOISIER, SURELY = 1.1, 5.0
 """What is left of pictures is more than their stated noise: by this factor, and by so many standard deviations."""
 
@@ -206,6 +207,7 @@ class _Reduced(NamedTuple):
     """What the pictures say of the labelled numbers, texels eliminated."""
 
     loss: Any
+    """Of the pictures alone."""
     noise: Any
     """Standard deviation of a residual: 1 if it is stated, else from all that is left; at least what is rounded."""
     gradient: Any
@@ -249,7 +251,7 @@ def _why_unknown(description: Description, left: Leftover, fitted: float) -> str
             f"state the views' `noise`"
         )
     slopes = _slopes(left, fitted)
-    if slopes <= 0 or slopes**2 < ENOUGH * left.squared_slopes:
+    if slopes <= 0 or (slopes**2 < ENOUGH * left.squared_slopes and slopes < left.count / 2):
         return (
             f"the errors are not known: too few of {left.count:.0f} residuals lie within the scale of the loss; "
             f"take a larger `loss_scale`"
@@ -279,6 +281,7 @@ def _remarks(problem: Problem, description: Description, loss: float, fitted: fl
 def _reduced(problem: Problem, values: Any, noise_known: Any, eps: Any) -> _Reduced:
     parameters, count = problem.parameters, problem.parameters.few
     loss, gradient, matrix = normal.normal_equations(problem, values)
+    of_pictures = loss - normal.prior_loss(problem, values)
     curvature = as_curvature(matrix)
     diagonal = curvature.diagonal()
     left = jnp.where(noise_known, 1, jnp.sqrt(2 * loss / problem.count))
@@ -289,7 +292,7 @@ def _reduced(problem: Problem, values: Any, noise_known: Any, eps: Any) -> _Redu
     rows = diagonal[count:]
     if not isinstance(curvature, ArrowCurvature):
         none = jnp.zeros((0, count))
-        return _Reduced(loss, noise, gradient, matrix, none, lengths, precision, sizes, rows, jnp.zeros(()))
+        return _Reduced(of_pictures, noise, gradient, matrix, none, lengths, precision, sizes, rows, jnp.zeros(()))
     # What presses a texel against its bound must be more than noise and the rounding of the values.
     size = jnp.abs(values)
     rounded = eps * (rows * size[count:] + jnp.matmul(jnp.abs(curvature.cross), size[:count]))
@@ -307,7 +310,7 @@ def _reduced(problem: Problem, values: Any, noise_known: Any, eps: Any) -> _Redu
     said = (pictures > 1e-9 * rows) & ~held
     share = pictures / jnp.where(said, pictures + precision[count:] + degree, 1)
     texels = jnp.sum(jnp.where(said, share, 0))
-    return _Reduced(loss, noise, slope, reduced, answers, lengths, precision[:count], sizes, rows, texels)
+    return _Reduced(of_pictures, noise, slope, reduced, answers, lengths, precision[:count], sizes, rows, texels)
 
 
 def _unseen_texels(problem: Problem, rows: np.ndarray) -> list[UnseenTexels]:

@@ -28,8 +28,8 @@ def refuse_levels(where: str, value: Any, advice: str = " or use read_image") ->
     if is_levels(value):
         raise ValueError(f"{where}: got {value.dtype}; divide by {np.iinfo(value.dtype).max}{advice}")
     kind = getattr(value, "dtype", None)
-    if kind is None or isinstance(value, Tracer) or not np.issubdtype(kind, np.integer):
-        return
+    if not isinstance(kind, np.dtype) or isinstance(value, Tracer) or not np.issubdtype(kind, np.integer):
+        return  # no array of NumPy or JAX, or no known integers
     if np.any(np.asarray(value) > 1):
         raise ValueError(f"{where}: got {kind} above 1; divide by the largest level (255 of 8 bits){advice}")
 

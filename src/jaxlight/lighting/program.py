@@ -45,7 +45,7 @@ class Program:
             pass
         try:
             return _of_jaxpr(self._jaxpr, _RULES), _of_value(self._derivative(), _RULES)
-        except TypeError:
+        except Exception:  # by some number nobody may ask for it cannot be differentiated: whatever its rules raise
             return None
 
     def _derivative(self) -> ClosedJaxpr:

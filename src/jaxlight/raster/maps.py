@@ -43,6 +43,10 @@ class Orthographic:
         checked = Camera(np.asarray(self.center), self.rotation, field_of_view=1.0)
         object.__setattr__(self, "rotation", checked.rotation)
 
+    def pixel_to_world(self, width: int, height: int) -> np.ndarray:
+        """As of a Camera, of whose pixels each has a ray of its own; here all are one."""
+        return np.outer(-self.rotation[:, 2], (0.0, 0.0, 1.0))
+
 
 def samples_from_maps(
     normal: Any,
@@ -135,7 +139,7 @@ def samples_from_maps(
         width=width,
         height=height,
         camera_to_world=view.rotation,
-        pixel_to_world=view.pixel_to_world(width, height) if isinstance(view, Camera) else None,
+        pixel_to_world=view.pixel_to_world(width, height),
         dtype=dtype,
     )
 

@@ -8,7 +8,8 @@ from . import nodes
 
 
 def check_indices(geometry: nodes.Node, where: str = "") -> None:
-    """Check a geometry node; nodes of other kinds pass, and so do those without coordinates, which draw nothing.
+    """Check what is drawn of a geometry node: one or two corners too many of triangles are ignored, and so are indices
+    beyond the last face. Nodes of other kinds pass, and so do those without coordinates.
 
     Raises:
         ValueError: an index beyond the end of its list, or a list that is too short; says which field of the geometry
@@ -22,21 +23,20 @@ def check_indices(geometry: nodes.Node, where: str = "") -> None:
     elif isinstance(geometry, nodes.IndexedTriangleSet):
         if np.any(geometry.index < 0):
             raise ValueError(f"{where}.index: expected indices >= 0, got {geometry.index.min()}")
-        _check_triangles(geometry, where, geometry.index, len(geometry.index) // 3)
+        triangles = len(geometry.index) // 3
+        _check_triangles(geometry, where, "index", geometry.index[: 3 * triangles], triangles)
     elif isinstance(geometry, nodes.TriangleSet):
-        corners = 0 if geometry.coord is None else len(geometry.coord.point)
-        _check_triangles(geometry, where, np.arange(corners), corners // 3)
+        triangles = 0 if geometry.coord is None else len(geometry.coord.point) // 3
+        _check_triangles(geometry, where, "coord", np.arange(3 * triangles), triangles)
 
 
 def _check_triangles(
-    geometry: nodes.IndexedTriangleSet | nodes.TriangleSet, where: str, corners: np.ndarray, triangles: int
+    geometry: nodes.IndexedTriangleSet | nodes.TriangleSet, where: str, field: str, corners: np.ndarray, triangles: int
 ) -> None:
     """Vertex data is taken by the same index as the coordinates; normals may be one a triangle."""
     for name, values, per_vertex in _lists(geometry):
-        if name == "coord":
-            _check_within(where, "index", corners, len(values), name)
-        elif per_vertex:
-            _check_within(where, "the vertices' index", corners, len(values), name)
+        if per_vertex:
+            _check_within(f"{where}.{field}", corners, len(values), name)
         else:
             _check_enough(where, triangles, "triangles", len(values), name)
 
@@ -49,19 +49,20 @@ def _check_face_set(geometry: nodes.IndexedFaceSet, where: str) -> None:
     faces = int(np.count_nonzero(ends)) + open_end
     for name, values, per_vertex in _lists(geometry):
         if name == "coord":
-            _check_within(where, "coord_index", corners, len(values), name)
+            _check_within(f"{where}.coord_index", corners, len(values), name)
             continue
         field = f"{name}_index"
         index = getattr(geometry, field)
         if per_vertex:
             own = len(index) > 0
-            _check_within(where, field if own else "coord_index", index if own else corners, len(values), name)
+            used = f"{where}.{field if own else 'coord_index'}"
+            _check_within(used, index if own else corners, len(values), name)
             if own and not _same_faces(corners, index):
                 raise ValueError(f"{where}.{field}: expected -1 in the same places as in coord_index")
         elif len(index) > 0:
             if len(index) < faces or np.any(index[:faces] < 0):
                 raise ValueError(f"{where}.{field}: expected an index >= 0 for each of {faces} faces, got {len(index)}")
-            _check_within(where, field, index, len(values), name)
+            _check_within(f"{where}.{field}", index[:faces], len(values), name)
         else:
             _check_enough(where, faces, "faces", len(values), name)
 
@@ -91,9 +92,9 @@ def _lists(geometry: nodes.Node) -> list[tuple[str, np.ndarray, bool]]:
     return found
 
 
-def _check_within(where: str, field: str, index: np.ndarray, length: int, name: str) -> None:
+def _check_within(where: str, index: np.ndarray, length: int, name: str) -> None:
     if len(index) and index.max() >= length:
-        raise ValueError(f"{where}.{field}: index {index.max()}, but {name} has {length} entries")
+        raise ValueError(f"{where}: index {index.max()}, but {name} has {length} entries")
 
 
 def _check_enough(where: str, needed: int, what: str, length: int, name: str) -> None:
