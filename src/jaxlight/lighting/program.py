@@ -94,10 +94,10 @@ def _of_jaxpr(jaxpr: Jaxpr, left_out: frozenset[str]) -> Hashable:
 
 def _of_value(value: Any, left_out: frozenset[str]) -> Hashable:
     """Equal only for equal values; TypeError for functions and what else may differ unseen."""
+    if isinstance(value, ClosedJaxpr):  # before the others: later releases of JAX make no difference between them
+        return _of_jaxpr(value.jaxpr, left_out), _of_value(value.consts, left_out)
     if isinstance(value, Jaxpr):
         return _of_jaxpr(value, left_out)
-    if isinstance(value, ClosedJaxpr):
-        return _of_jaxpr(value.jaxpr, left_out), _of_value(value.consts, left_out)
     if isinstance(value, (tuple, list)):
         return type(value), tuple(_of_value(own, left_out) for own in value)
     if isinstance(value, dict):
