@@ -14,7 +14,7 @@ from .errors import SceneFileError
 from .gltf_schema import COMPONENT_BYTES, COMPONENTS, LIGHTS, TRANSFORM, UNLIT, check_types
 from .limits import MAX_FILE_BYTES
 from .mesh_materials import SPECULAR_GLOSSINESS
-from .notes import ReadNotes
+from .notes import ROUNDED, ReadNotes
 
 READ_EXTENSIONS = (UNLIT, SPECULAR_GLOSSINESS, TRANSFORM, "EXT_texture_webp")
 _SHARED = 4
@@ -27,8 +27,6 @@ _OTHER_MODES = {0: "POINTS", 1: "LINES", 2: "LINE_LOOP", 3: "LINE_STRIP", 6: "TR
 _TYPES = {"POSITION": ("VEC3",), "NORMAL": ("VEC3",), "TEXCOORD": ("VEC2",), "COLOR": ("VEC3", "VEC4")}
 """Of attributes, by their names without the number of the set."""
 FLOAT = 5126
-_ROUNDED = 1e-6
-"""What is out of range by less is not named."""
 _ROWS = {
     "accessors": {"bufferView": "bufferViews"},
     "bufferViews": {"buffer": "buffers"},
@@ -221,7 +219,7 @@ def _clamp_factors(where: str, owner: dict[str, Any], notes: ReadNotes) -> None:
     for name, value in owner.items():
         if name in _UNIT_FACTORS:
             owner[name] = np.clip(np.asarray(value, dtype=np.float64), 0.0, 1.0).tolist()
-            if not np.allclose(owner[name], value, rtol=0, atol=_ROUNDED):
+            if not np.allclose(owner[name], value, rtol=0, atol=ROUNDED):
                 notes.clamped.append(f"{where}.{name}")
         elif name in ("pbrMetallicRoughness", "extensions", SPECULAR_GLOSSINESS):
             _clamp_factors(f"{where}.{name}", value, notes)

@@ -10,10 +10,8 @@ from ..scene import nodes
 from ..scene.indices import check_indices
 from .gltf_header import GltfMaterial
 from .levels import are_bytes
-from .notes import ReadNotes
+from .notes import ROUNDED, ReadNotes
 
-ROUNDED = 1e-6
-"""What is out of range by less is not named."""
 CREASE_ANGLE = np.pi / 3
 """Radians. Meshes without normals are smooth up to this angle between faces: curved surfaces are, boxes are not."""
 

@@ -10,6 +10,8 @@ from pathlib import Path
 
 from .errors import SceneFileWarning
 
+ROUNDED = 1e-6
+"""A number that is out of range by less is clamped without a word."""
 _MOST_NAMED = 12
 _LONGEST = 200
 
