@@ -8,7 +8,7 @@ tell stays where it is. Nothing is left out of the equation: what makes no diffe
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..lighting import make_plan
+from ..lighting.compiling import quick_jit
 from ..scene.fields import whole
 from . import normal
 from .problem import Problem, scene_of_view
@@ -48,29 +49,47 @@ def fitted_values(
         raise ValueError("fitted_values: derivatives of fits of whole textures are not supported")
     if solver is not None and not isinstance(solver, BoundedLevenbergMarquardt):
         raise ValueError(f"solver: expected a BoundedLevenbergMarquardt, got {solver!r:.60}")
-    return _fitted_values(problem, solver, whole("max_steps", max_steps, at_least=1))
+    problem = _with_every_term(problem)
+    solver = make_solver(problem) if solver is None else solver
+    return _answer(problem, solver, whole("max_steps", max_steps, at_least=1))[0]
+
+
+@eqx.filter_custom_jvp
+def _answer(problem: Problem, solver: BoundedLevenbergMarquardt, max_steps: int) -> tuple[Array, Array]:
+    """Where the fit ends, and the column lengths of its Jacobian there."""
+    return _solved(problem, solver, max_steps)
+
+
+@quick_jit
+def _solved(problem: Problem, solver: BoundedLevenbergMarquardt, max_steps: int) -> tuple[Array, Array]:
+    found = solve(problem, solver, problem.parameters.start, max_steps)
+    return found.value, jnp.sqrt(jnp.maximum(found.state.curvature.diagonal(), 0))
+
+
+@_answer.def_jvp
+def _answer_moves(primals: Any, tangents: Any) -> tuple[tuple[Array, Array], tuple[Array, None]]:
+    problem, *how = primals
+    found, lengths = _answer(problem, *how)
+    return (found, lengths), (_moves(problem, found, lengths, tangents[0]), None)
 
 
 @eqx.filter_jit
-def _fitted_values(problem: Problem, solver: BoundedLevenbergMarquardt | None, max_steps: int) -> Array:
-    problem = _with_every_term(problem)
-    solver = make_solver(problem) if solver is None else solver
-    parameters = problem.parameters
-    found = jax.lax.stop_gradient(solve(jax.lax.stop_gradient(problem), solver, parameters.start, max_steps))
-    # Column lengths of the Jacobian: the units in which the conditions are well scaled.
-    lengths = jnp.sqrt(jnp.maximum(found.state.curvature.diagonal(), 0))
-    scale = jnp.where(lengths > 0, lengths, 1)
+def _moves(problem: Problem, found: Array, lengths: Array, moves: Problem) -> Array:
+    """How the answer moves when the problem does."""
+    scale = jnp.where(lengths > 0, lengths, 1)  # units in which the conditions are well scaled
 
-    def conditions(values: Array) -> Array:
+    def conditions(values: Array, problem: Problem) -> Array:
         slope = jax.grad(lambda v: normal.loss(problem, v))(values)
-        return scale * (values - jnp.clip(values - slope / scale**2, parameters.lower, parameters.upper))
+        lower, upper = problem.parameters.lower, problem.parameters.upper
+        return scale * (values - jnp.clip(values - slope / scale**2, lower, upper))
 
-    def solved(function: Callable[[Array], Array], right: Array) -> Array:
-        """The shortest solution of function(x) = right, in these units, for a linear function of few numbers."""
-        matrix = jax.vmap(function, out_axes=1)(jnp.diag(1 / scale))
-        return jnp.linalg.pinv(matrix, rtol=1e3 * float(jnp.finfo(right.dtype).eps)) @ right / scale
+    def by_value(direction: Array) -> Array:
+        return jax.jvp(lambda values: conditions(values, problem), (found,), (direction,))[1]
 
-    return jax.lax.custom_root(conditions, parameters.start, lambda _, start: found.value, solved)
+    _, ahead = eqx.filter_jvp(lambda problem: conditions(found, problem), (problem,), (moves,))
+    matrix = jax.vmap(by_value, out_axes=1)(jnp.diag(1 / scale))
+    # The shortest solution, in these units.
+    return -(jnp.linalg.pinv(matrix, rtol=1e3 * float(jnp.finfo(found.dtype).eps)) @ ahead) / scale
 
 
 def _with_every_term(problem: Problem) -> Problem:
