@@ -126,6 +126,64 @@ def test_a_crease_separates_the_smooth_parts_of_a_vertex() -> None:
         np.testing.assert_allclose(np.unique(np.round(angle[face == number], 9)), ends, atol=1e-9)
 
 
+ROOF = [(0, 0, 1), (0, 0, -1), (1, -1, -1), (1, -1, 1), (-1, -1, 1), (-1, -1, -1), (0, 0, 0)]
+
+
+@pytest.mark.parametrize(
+    ("left", "empty"),
+    [
+        pytest.param([0, 1, 5, 4], [0, 1], id="two corners"),
+        pytest.param([0, 1, 5, 4], [0, 1, 1], id="a repeated corner"),
+        pytest.param([0, 6, 1, 5, 4], [0, 1, 6], id="three corners on a line"),
+    ],
+)
+def test_faces_without_area_do_not_smooth_a_crease(left: list[int], empty: list[int]) -> None:
+    """A ridge of a right angle, whose two faces have a third between them that nobody sees."""
+    faces = [0, 3, 2, 1, -1, *left, -1, *empty, -1]
+    roof = nodes.IndexedFaceSet(coord=nodes.Coordinate(point=ROOF), coord_index=faces, crease_angle=1.0)
+    drawn = triangles_of(roof).without_degenerate()
+    flat = area_vectors(drawn) / np.linalg.norm(area_vectors(drawn), axis=1, keepdims=True)
+    np.testing.assert_allclose(drawn.normal, np.repeat(flat[:, None], 3, axis=1), atol=1e-15)
+
+
+def test_a_face_that_is_flat_but_for_rounding_does_not_turn_normals() -> None:
+    """Slivers along an edge of a pyramid, in many attitudes: their own normals are nothing but rounding."""
+    points = np.array([(0, 0, 0.5), (1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0), (0.3, 0, 0.35)])
+    sides = [0, 1, 2, -1, 0, 2, 3, -1, 0, 3, 4, -1, 0, 4, 1, -1]
+    random = np.random.default_rng(2)
+    for _ in range(50):
+        turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+        turn *= np.linalg.det(turn)
+        coord = nodes.Coordinate(point=points @ turn.T)
+        for geometry in (
+            nodes.IndexedFaceSet(coord=coord, coord_index=[*sides, 0, 5, 1], crease_angle=3.0),
+            nodes.IndexedTriangleSet(coord=coord, index=[i for i in [*sides, 0, 5, 1] if i >= 0]),
+        ):
+            drawn = triangles_of(geometry).without_degenerate()
+            at_top = np.all(np.abs(drawn.position - points[0] @ turn.T) < 1e-9, axis=2)
+            assert np.sum(at_top) == 4
+            np.testing.assert_allclose(drawn.normal[at_top], np.tile(turn[:, 2], (4, 1)), atol=1e-12)
+
+
+@pytest.mark.parametrize("sides", [4, 3])
+@pytest.mark.parametrize("repeated", range(3))
+def test_a_face_that_visits_a_vertex_twice_counts_once(sides: int, repeated: int) -> None:
+    """A triangle written as four corners, the top of a pyramid twice, has the normals of one written as three."""
+    points = [(0, 0, 0.5), (1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0)]
+    faces = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]][:sides]
+
+    def normals_at_the_top(faces: list[list[int]]) -> np.ndarray:
+        index = [i for face in faces for i in (*face, -1)]
+        found = triangles_of(
+            nodes.IndexedFaceSet(coord=nodes.Coordinate(point=points), coord_index=index, crease_angle=3.0)
+        ).without_degenerate()
+        return found.normal[found.position[..., 2] == 0.5]
+
+    expected = normals_at_the_top(faces)
+    faces[repeated] = [*faces[repeated][1:], 0, 0]
+    np.testing.assert_allclose(normals_at_the_top(faces), expected, atol=1e-15)
+
+
 def test_clockwise_faces_are_turned_round_and_their_normals_with_them() -> None:
     """`ccw` FALSE: the front is where the corners run clockwise; generated normals point there."""
     ccw, cw = cube(), cube(ccw=False)
@@ -152,6 +210,29 @@ def test_concave_faces_are_cut_into_their_own_area(start: int, reverse: bool) ->
     areas = area_vectors(triangles_of(face))[:, 2] * (-1 if reverse else 1)
     assert np.all(areas > 0)
     np.testing.assert_allclose(areas.sum(), 3)
+
+
+@pytest.mark.parametrize("repeated", range(6))
+def test_a_repeated_corner_leaves_a_concave_face_what_it_is(repeated: int) -> None:
+    points = L_SHAPE[1 : repeated + 1] + L_SHAPE[repeated:] + L_SHAPE[:1]
+    face = nodes.IndexedFaceSet(coord=nodes.Coordinate(point=points), coord_index=list(range(7)), convex=False)
+    areas = area_vectors(triangles_of(face))[:, 2]
+    assert np.all(areas >= 0)
+    np.testing.assert_allclose(areas.sum(), 3)
+
+
+H_SHAPE = [(0, 0), (1, 0), (1, 2), (2, 2), (2, 0), (3, 0), (3, 5), (2, 5), (2, 3), (1, 3), (1, 5), (0, 5)]
+
+
+def test_corners_on_a_line_are_cut_right_in_every_attitude() -> None:
+    """Corners of a letter lie on lines through others, but for rounding, once the letter is turned."""
+    random = np.random.default_rng(1)
+    flat = np.pad(np.array(H_SHAPE, float), ((0, 0), (0, 1)))
+    for _ in range(100):
+        points = flat @ np.linalg.qr(random.normal(size=(3, 3)))[0]
+        face = nodes.IndexedFaceSet(coord=nodes.Coordinate(point=points), coord_index=list(range(12)), convex=False)
+        areas = np.linalg.norm(area_vectors(triangles_of(face)), axis=1)
+        np.testing.assert_allclose(areas.sum(), 11)
 
 
 def test_a_star_with_a_bridge_to_its_hole_keeps_the_hole() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..scene.polygons import Faces, face_normals
+from .triangles import FLAT
 
 _MOST_FACES = 32
 """Of the faces that share an edge so many are compared with each: surfaces have two, and few have a fin."""
@@ -14,7 +15,8 @@ def crease_normals(faces: Faces, vertex: np.ndarray, points: np.ndarray, crease_
     """Normals [C, 3] at the corners: smooth across an edge where the two faces' normals differ by less than the angle.
 
     The faces around a vertex that are joined by smooth edges share one normal there: the mean of their unit normals
-    (the clause leaves the weights open; IndexedTriangleSet and the browsers average).
+    (the clause leaves the weights open; IndexedTriangleSet and the browsers average). A face without area has none,
+    and joins no others.
 
     Args:
         faces: the polygons.
@@ -22,7 +24,7 @@ def crease_normals(faces: Faces, vertex: np.ndarray, points: np.ndarray, crease_
         points: [C, 3], the corners.
         crease_angle: radians.
     """
-    unit = _unit(face_normals(faces, points))
+    unit = _unit_normals(faces, points)
     if crease_angle <= 0 or len(points) == 0:
         return unit[faces.face]
     return _shared(faces, unit, _smooth_groups(faces, vertex, unit, crease_angle))
@@ -30,17 +32,25 @@ def crease_normals(faces: Faces, vertex: np.ndarray, points: np.ndarray, crease_
 
 def vertex_normals(faces: Faces, vertex: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Normals [C, 3]: at each vertex the mean of the unit normals of all faces that share it (X3D Rendering)."""
-    return _shared(faces, _unit(face_normals(faces, points)), vertex)
+    return _shared(faces, _unit_normals(faces, points), vertex)
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+def _unit_normals(faces: Faces, points: np.ndarray) -> np.ndarray:
+    """[F, 3], 0 for faces whose area is nothing but rounding."""
+    normals = face_normals(faces, points)
+    length = np.linalg.norm(normals, axis=1)
+    longest = np.zeros(len(length))
+    np.maximum.at(longest, faces.face, np.linalg.norm(points[faces.following] - points, axis=1))
+    return normals / np.where(length > FLAT * longest**2, length, np.inf)[:, None]
 
 
 def _shared(faces: Faces, unit: np.ndarray, group: np.ndarray) -> np.ndarray:
     """[C, 3], the mean of the unit face normals over each group of corners, normalised."""
     own = unit[faces.face]
-    sums = np.stack([np.bincount(group, own[:, axis]) for axis in range(3)], axis=1)[group]
+    # A face counts once, however many of its corners stand at the vertex.
+    once = np.zeros(len(group))
+    once[np.unique(group.astype(np.int64) * len(unit) + faces.face, return_index=True)[1]] = 1
+    sums = np.stack([np.bincount(group, once * own[:, axis]) for axis in range(3)], axis=1)[group]
     length = np.linalg.norm(sums, axis=1, keepdims=True)
     # Faces that cancel out (a sheet folded upon itself) keep their own normals.
     return np.where(length > 1e-9, sums / np.maximum(length, 1e-9), own)
@@ -57,15 +67,18 @@ def _smooth_groups(faces: Faces, vertex: np.ndarray, unit: np.ndarray, crease_an
     a, b = a[differ], b[differ]
     ua, ub = unit[faces.face[a]], unit[faces.face[b]]
     angle = np.arctan2(np.linalg.norm(np.cross(ua, ub), axis=1), np.einsum("ij,ij->i", ua, ub))
-    smooth = angle < crease_angle
+    have_area = np.any(ua != 0, axis=1) & np.any(ub != 0, axis=1)
+    smooth = have_area & (angle < crease_angle)
     a, b = a[smooth], b[smooth]
     # Both ends of the edge: corners of the two faces at the edge's low vertex, and at its high vertex.
     next_a, next_b = faces.following[a], faces.following[b]
     same_way = vertex[a] == vertex[b]
+    repeated = np.flatnonzero(vertex == vertex[faces.following])
     pairs = np.concatenate(
         [
             np.stack([a, np.where(same_way, b, next_b)]),
             np.stack([next_a, np.where(same_way, next_b, b)]),
+            np.stack([repeated, faces.following[repeated]]),
         ],
         axis=1,
     )

@@ -6,6 +6,9 @@ import dataclasses
 
 import numpy as np
 
+FLAT = 1e-14
+"""Of the square of its longest edge, twice the area of a face that has none but by rounding."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Triangles:
@@ -43,5 +46,5 @@ class Triangles:
         edges = self.position[:, [1, 2, 0]] - self.position
         length = np.linalg.norm(edges, axis=2).max(axis=1, initial=0.0)
         area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-        flat = ~(area > 1e-14 * length**2)
+        flat = ~(area > FLAT * length**2)
         return self.select(~flat) if np.any(flat) else self

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import bisect
 import dataclasses
+from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +42,12 @@ class Faces:
         """`count` triangles of three consecutive corners each."""
         corner = np.arange(3 * count)
         return cls(corner, corner // 3, 3 * np.arange(count), np.full(count, 3))
+
+    def without(self, corners: np.ndarray) -> Faces:
+        """The same faces without some of their corners ([C], True for those)."""
+        slot, face = self.slot[~corners], self.face[~corners]
+        count = np.bincount(face, minlength=len(self.count))
+        return Faces(slot, face, np.cumsum(count) - count, count)
 
     @property
     def following(self) -> np.ndarray:
@@ -86,6 +94,8 @@ def are_concave(faces: Faces, points: np.ndarray) -> np.ndarray:
 
 
 def _turned(faces: Faces, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    repeated = np.all(points == points[faces.preceding], axis=1)  # there is no turn at either of two equal corners
+    faces, points = faces.without(repeated), points[~repeated]
     incoming, outgoing = points - points[faces.preceding], points[faces.following] - points
     turn = np.einsum("ij,ij->i", np.cross(incoming, outgoing), normals[faces.face])
     concave = np.zeros(len(faces.count), dtype=bool)
@@ -151,6 +161,9 @@ def _cut_ears(points: np.ndarray) -> np.ndarray:
     return np.array(triangles, dtype=np.int64)
 
 
+_Place = tuple[float, float]
+
+
 class _Ring:
     """The corners of a polygon [n, 2] that are not cut off yet, and which of them are ears."""
 
@@ -159,7 +172,7 @@ class _Ring:
         self.following = [*range(1, self.count), 0]
         self.preceding = [self.count - 1, *range(self.count - 1)]
         self._points = points
-        self._places: list[tuple[float, float]] = [(x, y) for x, y in points.tolist()]
+        self._places: list[_Place] = [(x, y) for x, y in points.tolist()]
         self._left = np.ones(self.count, dtype=bool)
         self._turns_right = np.zeros(self.count, dtype=bool)
         """Also corners without a turn."""
@@ -199,9 +212,9 @@ class _Ring:
         else:
             self._ears.pop(place)
 
-    def _turn(self, corner: int) -> float:
-        (ax, ay), (bx, by), (cx, cy) = self._triangle(corner)
-        return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    def _turn(self, corner: int) -> int:
+        """1 to the left, 0 for none, -1 to the right."""
+        return _side(*self._triangle(corner))
 
     def _may_go(self, corner: int) -> bool:
         """A corner without a turn may go once nothing is lost: its triangle has no area."""
@@ -211,15 +224,33 @@ class _Ring:
     def _is_empty(self, corner: int) -> bool:
         """Whether no corner lies in a corner's triangle."""
         a, b, c = self._triangle(corner)
+        edges = ((a, b), (b, c), (c, a))
         others = self._points[self._turns_right]
-        x, y = others[:, 0], others[:, 1]
-
-        def left_of(p: tuple[float, float], q: tuple[float, float]) -> np.ndarray:
-            return (q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0])
-
-        inside = others[(left_of(a, b) >= 0) & (left_of(b, c) >= 0) & (left_of(c, a) >= 0)]
+        outside = np.zeros(len(others), dtype=bool)
+        for p, q in edges:
+            left, error = _left_of(p, q, others[:, 0], others[:, 1])
+            outside |= left < -error
         # Corners of the triangle itself, and corners that coincide with one (a bridge to a hole), do not count.
-        return all(tuple(other) in (a, b, c) for other in inside)
+        near = [other for other in map(tuple, others[~outside].tolist()) if other not in (a, b, c)]
+        return not any(all(_side(p, q, other) >= 0 for p, q in edges) for other in near)
 
-    def _triangle(self, corner: int) -> tuple[tuple[float, float], ...]:
+    def _triangle(self, corner: int) -> tuple[_Place, _Place, _Place]:
         return self._places[self.preceding[corner]], self._places[corner], self._places[self.following[corner]]
+
+
+def _left_of(p: _Place, q: _Place, x: Any, y: Any) -> tuple[Any, Any]:
+    """How far points lie to the left of the line from p to q, times its length, and the most that rounding can do."""
+    one, other = (q[0] - p[0]) * (y - p[1]), (q[1] - p[1]) * (x - p[0])
+    return one - other, 4 * np.finfo(np.float64).eps * (abs(one) + abs(other))
+
+
+def _side(p: _Place, q: _Place, point: _Place) -> int:
+    """1 for a point to the left of the line from p to q, -1 to the right, 0 on it: exact.
+
+    Corners on one line are common, and rounding puts some of them on the wrong side once the face is turned.
+    """
+    left, error = _left_of(p, q, *point)
+    if not abs(left) > error:
+        (px, py), (qx, qy), (x, y) = ((Fraction(u), Fraction(v)) for u, v in (p, q, point))
+        left = (qx - px) * (y - py) - (qy - py) * (x - px)
+    return (left > 0) - (left < 0)
