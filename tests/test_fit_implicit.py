@@ -94,3 +94,47 @@ def test_derivatives_do_not_depend_on_the_unit_of_length() -> None:
             found.append(np.asarray(slopes) / [1, scale, scale, scale])
     assert np.all(np.abs(found[0]) > 0.1)
     np.testing.assert_allclose(found[1], found[0], rtol=0.02)
+
+
+def test_single_precision_tells_what_only_a_prior_tells() -> None:
+    """Strength against albedo. And the answer is where the fit ended: three evaluations do not lead there from afar."""
+    body = material(specular_color=(0.2, 0.2, 0.2), shininess=0.1)
+    strength = Free("PointLight[key].intensity", mean=0.9, deviation=0.2)
+    picture = sphere_picture(16, noise=0.01, body=material(specular_color=(0.2, 0.2, 0.2)))
+    with precision("float32") as dtype:
+        view = View(sphere_samples(16, dtype=dtype), picture, noise=0.01)
+        fields = ["Material[body].diffuse_color", "Material[body].specular_color", "Material[body].shininess"]
+        result = fit(sphere_scene(body=body, dtype=dtype), view, [*fields, strength])
+
+        def answer(mean: jax.Array) -> Any:
+            found = fitted_values(eqx.tree_at(lambda p: p.parameters.prior_mean, result.problem, mean), max_steps=3)
+            return found, found
+
+        slopes, values = jax.jacfwd(answer, has_aux=True)(result.problem.parameters.prior_mean)
+    np.testing.assert_allclose(values, result.values, rtol=1e-3)
+    colors, light = result.values[:6], result.values[7]
+    np.testing.assert_allclose(slopes[:, 7], [*(-colors / light), 0, 1], atol=0.05)
+
+
+def test_what_is_held_does_not_move_where_the_picture_fits_exactly() -> None:
+    """Red is pinned, green lies on its bound, and neither has a slope. A warning says where no minimum was reached."""
+    glow = {"diffuse_color": (0, 0, 0), "specular_color": (0, 0, 0), "emissive_color": (0.5, 0.25, 0.75)}
+    free = Free("Material[body].emissive_color", lower=(0.5, 0.25, 0), upper=(0.5, 1, 1))
+    with precision("float64") as dtype:
+        scene = sphere_scene(body=material(**glow), dtype=dtype)
+        samples = sphere_samples(4, dtype=dtype)
+
+        def slope(glow: tuple[float, ...], max_steps: int) -> jax.Array:
+            problem, _ = make_problem(scene, View(samples, np.broadcast_to(glow, (4, 4, 3)), saturated=0.9), free)
+
+            def answer(brighter: jax.Array) -> jax.Array:
+                target = problem.views[0].target + brighter
+                return fitted_values(eqx.tree_at(lambda p: p.views[0].target, problem, target), max_steps=max_steps)
+
+            found = jax.jacfwd(answer)(jnp.zeros(()))
+            jax.effects_barrier()
+            return found
+
+        np.testing.assert_allclose(slope(glow["emissive_color"], 1), [0, 0, 1], atol=1e-12)
+        with pytest.warns(UserWarning, match="did not end at a smooth minimum"):
+            slope((0.5, 0.5, 0.95), 1)

@@ -332,7 +332,7 @@ def make_fit(
         outcome=outcome,
         message=message_of(outcome, state, history, rms, problem),
         history=tuple(history),
-        problem=problem,
+        problem=dataclasses.replace(problem, found=state.values),
         description=description,
         state=state,
     )

@@ -54,6 +54,8 @@ class Problem(eqx.Module):
     loss_kind: LossKind = eqx.field(static=True)
     settles: bool = eqx.field(static=True)
     """Whether numbers that are linear together are kept at their best: squares, no sensor limits, no whole textures."""
+    found: Float[Array, " parameters"] | None = None
+    """Where a fit ended, in the problem of a `Fit`: `fitted_values` begins there."""
 
     @property
     def rho(self) -> tuple[LossKind, Array]:
