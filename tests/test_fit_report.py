@@ -117,6 +117,19 @@ def test_without_a_background_the_scenes_sky_is_behind_the_model() -> None:
     assert not pictures.used.all() and pictures.used.any()
 
 
+@pytest.mark.parametrize("count", [16, 107])
+def test_what_is_shown_as_used_is_what_the_fit_used(count: int) -> None:
+    """In float32, 107 shares of 1 / 107 add up to less than 1."""
+    scene = make_scene()
+    samples = jl.rasterize(scene, None, 8, 8, samples=count)
+    view = jl.View(samples, np.asarray(jl.render(scene, samples)))
+    result = jl.fit(scene, view, "PointLight[left].intensity", max_steps=1)
+    (pictures,) = view_pictures(result, view)
+    whole = np.bincount(np.asarray(samples.pixel), minlength=64).reshape(8, 8) == count
+    assert np.count_nonzero(np.asarray(result.problem.views[0].root_weight)) == np.count_nonzero(whole) > 0
+    np.testing.assert_array_equal(pictures.used, whole)
+
+
 def test_other_views_than_the_fits_are_refused(fitted) -> None:
     result, views, _ = fitted
     with pytest.raises(ValueError, match="views: expected the 2 that were fitted, got 1"):

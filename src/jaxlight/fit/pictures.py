@@ -13,6 +13,7 @@ from ..image import resolve, sky
 from ..lighting.compiling import quick_jit
 from ..raster.samples import SampleBuffer
 from . import normal
+from .coverage import Coverage
 from .problem import Problem
 from .views import View, ViewData
 
@@ -71,7 +72,11 @@ def _size(samples: SampleBuffer) -> str:
 
 def _pictures_of_view(result: Fit, row: int, view: View) -> ViewPictures:
     samples = view.samples
-    covered = np.asarray(resolve(np.ones(samples.count), samples), np.float64)
+    coverage = Coverage.of(samples)
+    covered = np.zeros((samples.height or 0, samples.width or 0))
+    used = np.zeros(covered.shape, bool)
+    covered.flat[coverage.pixel] = coverage.covered
+    used.flat[coverage.pixel] = coverage.is_whole | (view.background is not None)
 
     def as_picture(values: Any) -> np.ndarray:
         """[height, width, 1 or 3] of what a View takes as a picture or as rows in sample order."""
@@ -81,7 +86,6 @@ def _pictures_of_view(result: Fit, row: int, view: View) -> ViewPictures:
             array = np.asarray(resolve(rows, samples)) / np.maximum(covered, 1e-12)[..., None]
         return array if array.ndim == 3 else array[..., None]
 
-    used = covered > (1 - 1e-6 if view.background is None else 0)
     name = _label(view, row)
     mask = None if view.mask is None else is_chosen(view.mask, f"{name}.mask")
     for field in (mask, view.weight):

@@ -18,6 +18,7 @@ from ..scene.fields import number, positive
 from ..scene.flags import Flags
 from ..scene.paths import LIGHT_ATTRIBUTES, LIGHT_KINDS, light_rows
 from ..scene.scene import Scene
+from .coverage import Coverage
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -170,8 +171,8 @@ def _mask(view: View, layout: _Layout) -> Bool[np.ndarray, " points"]:
     if view.mask is not None:
         chosen = is_chosen(view.mask, f"{layout.label}.mask")
         mask = layout.points_of("mask", chosen, grey=True)[:, 0] != 0
-    if view.background is None and layout.covered is not None:
-        mask &= layout.covered > 1 - 1e-6
+    if view.background is None and layout.is_whole is not None:
+        mask &= layout.is_whole
     return mask
 
 
@@ -245,7 +246,8 @@ class _Layout:
     """Pixel of each point, when the buffer knows pixels."""
     pixel: np.ndarray | None
     share: np.ndarray | None
-    covered: np.ndarray | None
+    is_whole: np.ndarray | None
+    """Pixels that samples cover wholly; goes with `pixel`."""
 
     @classmethod
     def of(cls, label: str, samples: SampleBuffer) -> _Layout:
@@ -257,18 +259,16 @@ class _Layout:
         is_padding[slot] = False
         if samples.pixel is None:
             return cls(label, samples, samples.count, source, is_padding, None, None, None, None)
-        pixels = np.asarray(samples.pixel)
-        share = np.ones(samples.count) if samples.coverage is None else np.asarray(samples.coverage, dtype=np.float64)
-        distinct, point = np.unique(pixels, return_inverse=True)
-        if len(distinct) == len(pixels) and np.all(share == 1):
+        coverage = Coverage.of(samples)
+        pixels, share, count = np.asarray(samples.pixel), coverage.share, len(coverage.pixel)
+        if count == len(pixels) and np.all(share == 1):
             return cls(label, samples, samples.count, source, is_padding, pixels, None, None, None)
-        pixel_of_slot = np.where(is_padding, len(distinct), point[source])
+        pixel_of_slot = np.where(is_padding, count, coverage.point[source])
         share_of_slot = np.where(is_padding, 0.0, share[source])
-        covered = np.bincount(point, share, len(distinct))
-        points = np.arange(len(distinct))
+        points = np.arange(count)
         return cls(
-            label, samples, len(distinct), points, np.zeros(len(points), bool), distinct,
-            pixel_of_slot, share_of_slot, covered,
+            label, samples, count, points, np.zeros(count, bool), coverage.pixel,
+            pixel_of_slot, share_of_slot, coverage.is_whole,
         )  # fmt: skip
 
     def points_of(self, field: str, value: Any, *, grey: bool = False) -> np.ndarray:
