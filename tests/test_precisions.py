@@ -17,6 +17,7 @@ import pytest
 from cases_to_scenes import options_of, scene_and_sample
 from fit_scenes import precision
 from jaxlight import LightingOptions, Scene, load, nodes, rasterize, shade
+from jaxlight.fit.coverage import Coverage
 from jaxlight.lighting import highlight
 from jaxlight.raster import SampleBuffer
 from oracle.cases import well_conditioned_cases
@@ -92,6 +93,20 @@ def test_half_precision_is_widened_at_the_door(half: Any) -> None:
         lambda leaf: leaf.astype(jnp.float32) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf, (scene, samples)
     )
     np.testing.assert_array_equal(got, shade(*wide))
+
+
+@pytest.mark.parametrize("half", HALVES, ids=["bfloat16", "float16"])
+def test_pixels_that_half_precision_samples_cover_wholly_are_fitted(half: Any) -> None:
+    """Three shares of a third add up to 1 +- 2^-9 in bfloat16; a pixel that lacks a sample is left out all the same."""
+    scene, view = Scene.from_nodes([nodes.Shape(geometry=nodes.Sphere())]), nodes.Viewpoint(position=(0, 0, 4))
+    for count in (3, 5, 7, 48, 107, 144):
+        samples = rasterize(scene, view, 12, samples=count, dtype=half)
+        lying = np.bincount(np.asarray(samples.pixel), minlength=144)
+        coverage = Coverage.of(samples)
+        np.testing.assert_array_equal(coverage.is_whole, lying[coverage.pixel] == count)
+        assert 0 < np.count_nonzero(coverage.is_whole) < len(coverage.pixel)
+    lacking = SampleBuffer.create(*rows(4), EYE, pixel=[0, 0, 1, 1], coverage=[0.5, 0.49, 0.5, 0.5], width=2, height=1)
+    assert Coverage.of(halved(lacking, half)).is_whole.tolist() == [False, True]
 
 
 def test_derivatives_of_half_precision() -> None:
