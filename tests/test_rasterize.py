@@ -121,6 +121,31 @@ def test_mirroring_keeps_the_outside_outside() -> None:
     np.testing.assert_allclose(np.asarray(again.position), np.asarray(plain.position), atol=1e-12)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("dtype", ["float16", "bfloat16", "float32"])
+@pytest.mark.parametrize("scale", [1e-20, 1e-4, 1.0, 300.0, 1e20])
+def test_normals_are_of_length_one_however_a_shape_is_scaled(scale: float, dtype: str) -> None:
+    """Float types of few bits hold neither the squares of small scales nor those of large ones."""
+    size = (2 / scale, 2 / scale, 2 / scale)
+    turned = nodes.Transform(rotation=(1, 1, 0.3, 0.8), children=[shape(nodes.Box(size=size))])
+    scene = Scene.from_nodes([nodes.Transform(scale=(scale, scale, scale), children=[turned])])
+    samples = rasterize(scene, VIEW, 12, 12, dtype=dtype)
+    normal = np.asarray(samples.normal, np.float64)
+    eps = float(jax.numpy.finfo(dtype).eps)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, atol=eps)
+    side = normal @ scene.document.shapes[0].to_world[:, :3] / scale
+    np.testing.assert_allclose(np.abs(side).max(axis=1), 1, atol=2 * eps)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_normal_of_zero_stays_zero() -> None:
+    corners = nodes.Coordinate(point=[(-1, -1, 0), (1, -1, 0), (0, 1, 0)])
+    geometry = nodes.TriangleSet(coord=corners, normal=nodes.Normal(vector=np.zeros((3, 3))))
+    samples = rasterize(Scene.from_nodes([shape(geometry)]), VIEW, 12, 12)
+    np.testing.assert_array_equal(np.asarray(samples.normal), np.zeros((samples.count, 3)))
+    assert samples.count
+
+
 PLANE = nodes.Coordinate(point=[(-3, -1, 4), (3, -1, 4), (3, 1, -6), (-3, 1, -6)])
 
 
@@ -151,7 +176,9 @@ def test_attributes_are_interpolated_in_perspective() -> None:
     low = np.stack([1 - s, s - t, t, 0 * s], axis=1)
     high = np.stack([1 - t, 0 * s, s, t - s], axis=1)
     weight = np.where((t <= s)[:, None], low, high)
-    np.testing.assert_allclose(np.asarray(samples.normal), weight @ normals, atol=1e-12)
+    normal = weight @ normals
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.asarray(samples.normal), normal, atol=1e-12)
     assert samples.color is not None
     np.testing.assert_allclose(np.asarray(samples.color), weight @ colors, atol=1e-12)
 

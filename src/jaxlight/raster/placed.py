@@ -28,6 +28,7 @@ class Attributes(NamedTuple):
 
     position: np.ndarray
     normal: np.ndarray
+    """Of length 1, which every float type holds; or zero."""
     color: np.ndarray | None
     texel_index: np.ndarray | None
     texel_weight: np.ndarray | None
@@ -132,14 +133,13 @@ class PlacedShapes:
                 ray = hits.ray[on_it] @ inverse.T
                 unit = face.onto(inverse @ (eye - unit_to_world[:, 3]) + ray, ray, hits.is_back[on_it])
                 found.position[here[on_it]] = apply_to_points(unit_to_world, unit)
-                normal = face.gradient(unit) @ inverse
-                found.normal[here[on_it]] = normal / np.hypot.reduce(normal, axis=1)[:, None]
+                found.normal[here[on_it]] = _unit(face.gradient(unit) @ inverse)
                 if is_textured:
                     self._fill_texels(found, placed, here[on_it], texture_transformed(face.texcoord(unit), placed.node))
             return
         weight = hits.weight[:, ::-1] if mirrors(placed.to_world) else hits.weight
         found.position[here] = apply_to_points(placed.to_world, _interpolated(weight, own.position, number))
-        found.normal[here] = apply_to_normals(placed.to_world, _interpolated(weight, own.normal, number))
+        found.normal[here] = _unit(apply_to_normals(placed.to_world, _interpolated(weight, own.normal, number)))
         if found.color is not None and own.color is not None:
             found.color[here, : own.color.shape[2]] = _interpolated(weight, own.color, number)
         if is_textured:
@@ -180,6 +180,12 @@ def _interpolated(weight: np.ndarray, values: np.ndarray, row: np.ndarray) -> np
     total += weight[:, 1:2] * values[row, 1]
     total += weight[:, 2:] * values[row, 2]
     return total
+
+
+def _unit(normal: np.ndarray) -> np.ndarray:
+    """[N, 3] of length 1, whatever power of a scale they came with; zero stays zero."""
+    length = np.hypot.reduce(normal, axis=1)[:, None]
+    return normal / np.where(length > 0, length, 1.0)
 
 
 def _row_times(row: np.ndarray, points: np.ndarray) -> np.ndarray:
