@@ -160,6 +160,29 @@ def test_orthographic_views() -> None:
     np.testing.assert_allclose(np.asarray(found.pixel_to_world) @ (2.5, 1.5, 1), -turn[:, 2], atol=1e-6)
 
 
+@pytest.mark.parametrize(("pixel_size", "height"), [(0.1, 24), (1.0, 24), (20.0, 2)])
+def test_parallel_rays_in_few_bits(pixel_size: float, height: int) -> None:
+    """float16 holds no eye a million sizes away; the one that it holds is as far off as its digits can tell."""
+    turn = Camera.look_at((3, 1, 2), (0, 0, 0)).rotation
+    for rotation in (np.eye(3), turn):
+        view = Orthographic(pixel_size, (3.0, -2.0, 1.0), rotation)
+        found = samples_from_maps(np.tile([0.0, 0, 1], (height, height, 1)), view, depth=1.0, dtype="float16")
+        to_viewer = np.asarray(found.eye, float) - np.asarray(found.position, float)
+        to_viewer /= np.linalg.norm(to_viewer, axis=1, keepdims=True)
+        angle = np.linalg.norm(np.cross(to_viewer, rotation[:, 2]), axis=1)
+        assert angle.max() < 2**-10
+
+
+@pytest.mark.parametrize(
+    ("pixel_size", "dtype", "stated"),
+    [(20.0, "float16", "1024 .* float16 holds"), (1e32, "float32", "1e.06 .* float32")],
+)
+def test_an_eye_that_no_type_holds_far_enough_away_is_refused(pixel_size: float, dtype: str, stated: str) -> None:
+    message = f"samples_from_maps: view: .*Orthographic.* {stated}.*; .*smaller pixel_size.* dtype"
+    with pytest.raises(ValueError, match=message):
+        samples_from_maps(NORMAL, Orthographic(pixel_size), depth=1.0, dtype=dtype)
+
+
 def test_every_pixel_can_have_its_own_texel() -> None:
     albedo = np.random.default_rng(1).uniform(size=(3, 4, 3))
     found = samples_from_maps(np.tile([0.0, 0, 1], (3, 4, 1)), CAMERA, depth=1.0, texel_per_pixel=True)

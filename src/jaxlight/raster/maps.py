@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, Literal
 
+import jax.numpy as jnp
 import numpy as np
 
 from ..arrays import GIVE_MASK, known_numbers
 from ..formats.levels import is_chosen
-from ..scene.fields import boolean, positive, vector3
+from ..scene.fields import boolean, float_type, positive, vector3
 from .camera import Camera
 from .map_values import fitted, map_values
 from .pattern import morton
@@ -27,7 +28,10 @@ class Orthographic:
     """A view along parallel rays, as photometric stereo assumes; axes as a Camera's (x right, y up, z to the viewer).
 
     The lighting equation has an eye point. It is put FAR (1e6) sizes of the seen area away, so that every direction to
-    the viewer is true to 1e-6 radians; only fog, which asks for that distance, has no meaning then.
+    the viewer is true to 1e-6 radians; only fog, which asks for that distance, has no meaning then. A float16 buffer
+    holds no number above 65504: the eye then stands as far away as that allows, at least 1024 sizes, and the directions
+    are true to one size by its distance, 1e-3 radians at most. Half precision also rounds the eye, which turns all of
+    them alike, by up to 2^-11 (float16) or 2^-8 (bfloat16) radians.
     """
 
     pixel_size: float = 1.0
@@ -93,9 +97,11 @@ def samples_from_maps(
         Samples in Morton order over the pixels; `pixel` counts row by row from the top left.
 
     Raises:
-        ValueError: a shape, an option or a value (inside the mask) that does not fit; says which map and where.
+        ValueError: a shape, an option or a value (inside the mask) that does not fit; says which map and where. The
+            area that an Orthographic view shows is too large for an eye in `dtype`.
     """
     _check_options(view, normal_encoding, normal_frame, position_frame, depth_kind, position, depth)
+    dtype = float_type("samples_from_maps: dtype", dtype)
     normal_y_down = boolean("samples_from_maps: normal_y_down", normal_y_down)
     texel_per_pixel = boolean("samples_from_maps: texel_per_pixel", texel_per_pixel)
     vectors, encoding = map_values("normal", normal)
@@ -125,7 +131,7 @@ def samples_from_maps(
     rows, columns = np.nonzero(seen)
     order = np.argsort(morton(columns, rows), kind="stable")
     rows, columns = rows[order], columns[order]
-    eye = view.position if isinstance(view, Camera) else _far_eye(view, points[rows, columns])
+    eye = view.position if isinstance(view, Camera) else _far_eye(view, points[rows, columns], dtype)
     texel = (height - 1 - rows) * width + columns
     return SampleBuffer.create(
         points[rows, columns],
@@ -178,9 +184,19 @@ def _points(
         return np.where(away[..., None] > 0, away[..., None], np.nan) * rays + origin
 
 
-def _far_eye(view: Orthographic, points: np.ndarray) -> np.ndarray:
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    return points.mean(axis=0) + view.rotation[:, 2] * FAR * max(size, view.pixel_size)
+def _far_eye(view: Orthographic, points: np.ndarray, dtype: Any) -> np.ndarray:
+    """FAR sizes away; in a type that does not hold that, as far as it holds, if its digits do not tell."""
+    size = max(float(np.linalg.norm(np.ptp(points, axis=0))), view.pixel_size)
+    middle, about = points.mean(axis=0), jnp.finfo(jnp.result_type(float) if dtype is None else dtype)
+    largest = float(about.max)
+    distance, least = min(FAR * size, largest - np.abs(middle).max()), min(FAR, 1 / float(about.eps))
+    if distance < least * size:
+        raise ValueError(
+            f"samples_from_maps: view: the eye of an Orthographic view stands at least {least:g} sizes of what is seen "
+            f"({size:g}) away, farther than {about.dtype} holds ({largest:g}); give a smaller pixel_size (positions "
+            "in a larger unit, nearer to the origin), or a dtype that holds more"
+        )
+    return np.clip(middle + view.rotation[:, 2] * distance, -largest, largest)
 
 
 def _surface(surface: Any, height: int, width: int, rows: np.ndarray, columns: np.ndarray) -> Any:
