@@ -139,6 +139,23 @@ def test_without_a_mask_what_is_not_finite_or_zero_is_left_out() -> None:
     assert set(range(20)) - set(np.asarray(found.pixel).tolist()) == {0, 6, 12, 18, 19}
 
 
+@pytest.mark.parametrize("background", [(0, 0, 0, 255), (127, 127, 127, 255), (128, 128, 128, 255), (128, 128, 255, 0)])
+def test_without_a_mask_colours_that_hold_no_normal_are_left_out(tmp_path: Path, background: tuple) -> None:
+    levels = np.full((4, 5, 4), (128, 128, 255, 255), np.uint8)
+    levels[1:3, 2:] = background
+    levels[0, 0, :3], levels[0, 1, :3] = (0, 128, 128), (126, 128, 128)  # faint, but vectors
+    Image.fromarray(levels).save(tmp_path / "normals.png")
+    for normal in (tmp_path / "normals.png", levels / 255):
+        found = samples_from_maps(normal, CAMERA, depth=1.0, normal_encoding="color")
+        assert set(range(20)) - set(np.asarray(found.pixel).tolist()) == {7, 8, 9, 12, 13, 14}
+        everywhere = samples_from_maps(normal, CAMERA, depth=1.0, mask=np.ones((4, 5)), normal_encoding="color")
+        assert everywhere.count == 20
+
+
+def test_a_fourth_component_of_vectors_is_no_alpha() -> None:
+    assert samples_from_maps(np.tile([0.0, 0, 1, 0], (4, 5, 1)), CAMERA, depth=1.0).count == 20
+
+
 @pytest.mark.parametrize(("bright", "dark"), [(0.5, 0.49), (np.uint8(128), np.uint8(127)), (True, False)])
 def test_a_mask_leaves_out_what_is_darker_than_one_half(bright: Any, dark: Any) -> None:
     shown = np.arange(20).reshape(4, 5) % 3 == 0

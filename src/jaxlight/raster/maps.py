@@ -20,6 +20,8 @@ FAR = 1e6
 """How far off the eye of an orthographic view stands, in units of the seen area's size."""
 OVERSHOOT = 0.25
 """By which colours that hold normals may leave [0, 1]: filters that make pictures smaller do so at edges."""
+GREY = 0.6 / 255
+"""How near to one half all of a colour's channels are where it holds no normal: 8 bits have 127 and 128 there."""
 _ENCODINGS, _FRAMES, _DEPTHS = ("vector", "color"), ("camera", "world"), ("z", "distance")
 
 
@@ -79,7 +81,8 @@ def samples_from_maps(
         position: [height, width, 3]. Give this or `depth`.
         depth: [height, width], or one number for all, which will do where only directional lights shine.
         mask: [height, width], True (or from one half on) where there is a surface. Default: where normal and depth are
-            finite and the normal is not zero.
+            finite and the normal is not zero. Of normals held as colours zero is mid grey (127 or 128 of 255 in all
+            channels), and neither black pixels (0 in all channels) nor clear ones (alpha 0) hold a normal.
         color: [height, width, 3 or 4], colours in the place of vertex colours.
         surface: row in `Scene.surfaces`, one for all or [height, width].
         normal_encoding: "vector": the numbers are components; "color": n = 2 c - 1, as colour images hold normals.
@@ -108,9 +111,10 @@ def samples_from_maps(
     if vectors.ndim != 3 or vectors.shape[2] not in (3, 4) or vectors.size == 0:
         raise ValueError(f"samples_from_maps: normal: expected [height, width, 3], got {list(vectors.shape)}")
     height, width = vectors.shape[:2]
-    vectors = vectors[..., :3]
-    outside = np.zeros((height, width), bool)
+    empty = outside = np.zeros((height, width), bool)
+    vectors, given = vectors[..., :3], vectors
     if (normal_encoding or encoding) == "color":
+        empty = _is_empty(given)
         outside = np.any((vectors < -OVERSHOOT) | (vectors > 1 + OVERSHOOT), axis=2)
         vectors = 2 * vectors - 1
     if normal_y_down:
@@ -121,7 +125,7 @@ def samples_from_maps(
 
     finite = np.all(np.isfinite(vectors), axis=2) & np.all(np.isfinite(points), axis=2)
     if mask is None:
-        seen = finite & np.any(vectors != 0, axis=2)
+        seen = finite & np.any(vectors != 0, axis=2) & ~empty
     else:
         seen = is_chosen(fitted("mask", map_values("mask", mask)[0], height, width, None))
         _refuse_pixels(seen & ~finite, "pixels inside the mask have a normal or a position that is not finite")
@@ -148,6 +152,13 @@ def samples_from_maps(
         pixel_to_world=view.pixel_to_world(width, height),
         dtype=dtype,
     )
+
+
+def _is_empty(colors: np.ndarray) -> np.ndarray:
+    """Which colours [height, width, 3 or 4] hold no normal: clear, black or mid grey ones."""
+    clear = np.zeros(colors.shape[:2], bool) if colors.shape[2] == 3 else colors[..., 3] == 0
+    black = np.all(colors[..., :3] == 0, axis=2)
+    return clear | black | np.all(np.abs(colors[..., :3] - 0.5) < GREY, axis=2)
 
 
 def _refuse_pixels(bad: np.ndarray, what: str) -> None:
