@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxlight import Camera, Orthographic, SampleBuffer, Scene, nodes, rasterize, samples_from_maps
+from jaxlight import Camera, Orthographic, SampleBuffer, Scene, nodes, rasterize, samples_from_maps, write_image
 from jaxlight.image import sky
 
 WIDTH, HEIGHT = 41, 33
@@ -117,6 +117,16 @@ def test_colour_images_hold_normals_as_two_c_minus_one(seen: SampleBuffer, tmp_p
     assert np.linalg.norm(np.asarray(found.normal) - expected, axis=1).max() <= 3**0.5 / 255
     as_array = samples_from_maps(coded, CAMERA, depth=1.0, mask=mask, normal_encoding="color", normal_y_down=True)
     np.testing.assert_allclose(np.asarray(as_array.normal), expected, atol=1e-12)
+
+
+def test_the_content_of_a_picture_says_whether_it_holds_colours(tmp_path: Path) -> None:
+    pytest.importorskip("OpenImageIO")
+    write_image(tmp_path / "vectors.exr", np.tile([0.0, 0.6, 0.8], (3, 4, 1)))
+    write_image(tmp_path / "colors.png", np.tile([0.5, 0.8, 0.9], (3, 4, 1)))
+    for name, new in (("vectors.exr", "vectors.png"), ("colors.png", "colors.exr")):
+        (tmp_path / name).rename(tmp_path / new)
+        found = samples_from_maps(tmp_path / new, CAMERA, depth=1.0, normal_frame="world")
+        np.testing.assert_allclose(np.asarray(found.normal), np.tile([0.0, 0.6, 0.8], (12, 1)), atol=0.005)
 
 
 def test_colours_of_normals_may_be_rounded_and_anything_outside_the_mask() -> None:

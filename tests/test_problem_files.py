@@ -341,9 +341,10 @@ def test_what_a_picture_cannot_show_is_left_out(folder: Path) -> None:
     rgba[0, :, 3] = 0
     for name in ("alpha.png", "alpha.exr"):
         jl.write_image(folder / name, rgba)
+    (folder / "alpha.exr").rename(folder / "named.png")  # the content says what it is
     for name, brightest in (("dim.tif", 1.0), ("bright.tif", 1.5)):
         Image.fromarray(np.full((SIZE, SIZE), brightest, np.float32)).save(folder / name)
-    names = ("alpha.png", "alpha.exr", "dim.tif", "bright.tif")
+    names = ("alpha.png", "named.png", "dim.tif", "bright.tif")
     path = folder / "problem.toml"
     path.write_text(GOOD.partition("[[views]]")[0] + "".join(f'[[views]]\npicture = "{name}"\n' for name in names))
     file = ProblemFile(path)

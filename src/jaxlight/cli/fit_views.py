@@ -39,6 +39,7 @@ def _make_view(
     view: ViewProblem, name: str, row: int, source: Source, scene: jaxlight.Scene, known: dict[Any, Any]
 ) -> jaxlight.View:
     from jaxlight import View, decode, read_image
+    from jaxlight.formats.images import is_exr
     from jaxlight.formats.levels import is_chosen
 
     with blamed_on(source, "views", row, "picture"):
@@ -76,7 +77,7 @@ def _make_view(
                 raise source.error(("views", row, name), message) from None
             raise source.error(("views", row, *_geometry_key(view)), str(error)) from None
     # Integer formats end at 1; what lies there may have been brighter.
-    ends_at_one = not (_is_exr(view.picture) or (target > 1).any())
+    ends_at_one = not (is_exr(view.picture) or (target > 1).any())
     return View(
         known[where],
         decode(target, view.decode),
@@ -95,16 +96,13 @@ def _make_view(
 def _colors_and_opaque(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """The colours of a picture, and which of its pixels show something; None: all."""
     from jaxlight import read_image
+    from jaxlight.formats.images import is_exr
 
     image = read_image(path)
     if image.shape[2] not in (1, 3):
         # The colours of an EXR are multiplied by alpha: where that is no 1 they are no colours that were seen.
-        return image[..., :-1], image[..., -1] > (_WHOLE if _is_exr(path) else 0)
+        return image[..., :-1], image[..., -1] > (_WHOLE if is_exr(path) else 0)
     return image, None
-
-
-def _is_exr(path: Path) -> bool:
-    return path.suffix.lower() == ".exr"
 
 
 def _geometry_key(view: ViewProblem) -> tuple[str, ...]:

@@ -65,6 +65,12 @@ def read_image(path: str | Path) -> np.ndarray:
     return decode_image(read_bounded(path), path)
 
 
+def is_exr(path: Path) -> bool:
+    """Whether a file that can be read is an EXR, by its content."""
+    with path.open("rb") as file:
+        return file.read(len(_EXR)) == _EXR
+
+
 def decode_image(data: bytes, path: Path) -> np.ndarray:
     """As `read_image`, from the content of a file; `path` names it in messages."""
     if data.startswith(_EXR):

@@ -12,11 +12,11 @@ import numpy as np
 
 from ..arrays import FILL, GIVE_MASK, known_numbers
 from ..formats import read_image
+from ..formats.images import is_exr
 from ..formats.levels import is_chosen, is_levels, refuse_levels
 
 MAX_BYTES = 1 << 31
 _ARRAYS = (".npy", ".npz")
-_IMAGES_OF_NUMBERS = (".exr",)
 
 
 def map_values(what: str, value: Any) -> tuple[np.ndarray, Literal["vector", "color"]]:
@@ -33,10 +33,9 @@ def map_values(what: str, value: Any) -> tuple[np.ndarray, Literal["vector", "co
     if not isinstance(value, (str, Path)):
         return _numbers(f"samples_from_maps: {what}", what, value), "vector"
     path = Path(value)
-    suffix = path.suffix.lower()
-    if suffix not in _ARRAYS:
+    if path.suffix.lower() not in _ARRAYS:
         image = read_image(path)
-        return image, "vector" if suffix in _IMAGES_OF_NUMBERS else "color"
+        return image, "vector" if is_exr(path) else "color"
     where = f"samples_from_maps: {what}: {path}"
     try:
         stored = _stored(what, path)
