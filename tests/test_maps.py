@@ -166,6 +166,16 @@ def test_a_fourth_component_of_vectors_is_no_alpha() -> None:
     assert samples_from_maps(np.tile([0.0, 0, 1, 0], (4, 5, 1)), CAMERA, depth=1.0).count == 20
 
 
+def test_a_depth_of_three_equal_channels_may_have_holes() -> None:
+    depth = np.ones((4, 5, 3))
+    depth[2, 2] = np.nan
+    found = samples_from_maps(np.tile([0.0, 0, 1], (4, 5, 1)), CAMERA, depth=depth)
+    assert set(range(20)) - set(np.asarray(found.pixel).tolist()) == {12}
+    depth[2, 2, 1] = 1
+    with pytest.raises(ValueError, match="depth: expected one channel, got a colour image"):
+        samples_from_maps(np.tile([0.0, 0, 1], (4, 5, 1)), CAMERA, depth=depth)
+
+
 @pytest.mark.parametrize(("bright", "dark"), [(0.5, 0.49), (np.uint8(128), np.uint8(127)), (True, False)])
 def test_a_mask_leaves_out_what_is_darker_than_one_half(bright: Any, dark: Any) -> None:
     shown = np.arange(20).reshape(4, 5) % 3 == 0

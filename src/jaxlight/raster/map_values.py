@@ -80,7 +80,8 @@ def fitted(what: str, array: np.ndarray, height: int, width: int, channels: int 
     """`array` as [height, width, channels], or [height, width] if `channels` is None; raises ValueError otherwise."""
     expected = (height, width) if channels is None else (height, width, channels)
     if channels is None and array.ndim == 3 and array.shape[2] in (1, 2, 3, 4):
-        if array.shape[2] > 2 and not np.all(array[..., :1] == array[..., :3]):
+        grey = np.broadcast_to(array[..., :1], (*array.shape[:2], 3))
+        if array.shape[2] > 2 and not np.array_equal(array[..., :3], grey, equal_nan=True):
             raise ValueError(f"samples_from_maps: {what}: expected one channel, got a colour image")
         array = array[..., 0]
     if channels == 3 and array.ndim == 3 and array.shape[2] == 4:
