@@ -241,6 +241,42 @@ def test_colours_and_surfaces_by_pixel() -> None:
 
 
 NORMAL = np.tile([0.0, 0, 1], (3, 4, 1))
+
+
+def test_files_hold_the_surface_of_each_pixel(tmp_path: Path) -> None:
+    surface = np.arange(12, dtype=np.uint8).reshape(3, 4) % 3
+    np.save(tmp_path / "a.npy", surface.astype(np.int64))
+    np.savez(tmp_path / "a.npz", surface=surface, normal=NORMAL)
+    np.save(tmp_path / "one.npy", np.int32(2))
+    Image.fromarray(surface).save(tmp_path / "a.png")
+    Image.fromarray(surface.astype(np.uint16)).save(tmp_path / "a.tif")
+    indices = Image.fromarray(surface).convert("P")
+    indices.putpalette([255, 0, 0, 0, 255, 0, 0, 0, 255])
+    indices.save(tmp_path / "indices.png")
+    for name in ("a.npy", "a.npz", "a.png", "a.tif", "indices.png"):
+        found = samples_from_maps(NORMAL, CAMERA, depth=1.0, surface=tmp_path / name)
+        np.testing.assert_array_equal(np.asarray(found.surface), surface.ravel()[np.asarray(found.pixel)])
+    assert set(np.asarray(samples_from_maps(NORMAL, CAMERA, depth=1.0, surface=tmp_path / "one.npy").surface)) == {2}
+
+
+def test_surfaces_of_files_are_whole_numbers(tmp_path: Path) -> None:
+    levels = np.zeros((3, 4, 3), np.uint8)
+    Image.fromarray(levels).save(tmp_path / "colors.png")
+    for name in ("grey.jpg", "grey.gif"):
+        Image.fromarray(levels[..., 0]).save(tmp_path / name)
+    np.save(tmp_path / "floats.npy", levels[..., 0] / 2)
+    for name, message in (
+        ("colors.png", r"colors\.png: expected a PNG or TIFF of grey levels of 8 or 16 bits, .* got a PNG of mode RGB"),
+        ("grey.jpg", r"grey\.jpg: expected .*, got a JPEG of mode L"),
+        ("grey.gif", r"grey\.gif: expected .*, got a GIF of mode"),
+        ("floats.npy", r"surface: expected .* integers of shape \[3, 4\], got float64 \[3, 4\]"),
+        ("nowhere.npy", r"surface: .*nowhere\.npy: No such file"),
+        ("nowhere.png", "no such file"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            samples_from_maps(NORMAL, CAMERA, depth=1.0, surface=tmp_path / name)
+
+
 HOLE = NORMAL.copy()
 HOLE[1, 2] = np.nan
 

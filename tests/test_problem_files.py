@@ -407,6 +407,18 @@ def test_maps_without_a_camera_are_seen_along_parallel_rays(folder: Path) -> Non
     np.testing.assert_allclose(np.ptp(np.asarray(samples.position), axis=0), [2.3, 2.3, 0], atol=1e-5)
 
 
+def test_a_picture_says_which_surface_each_pixel_shows(folder: Path) -> None:
+    import jaxlight as jl
+
+    Image.fromarray(np.eye(SIZE, dtype=np.uint8)).save(folder / "surface.png")
+    path = folder / "problem.toml"
+    view = '[[views]]\npicture = "side.png"\nmaps = { normal = "normal.png", depth = 0, surface = "surface.png" }\n'
+    path.write_text(GOOD + view)
+    file = ProblemFile(path)
+    samples = make_views(file.problem, file, jl.load(file.problem.scene))[2].samples
+    np.testing.assert_array_equal(samples.surface, np.eye(SIZE).ravel()[np.asarray(samples.pixel)])
+
+
 def test_the_long_example_fits(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "problem.toml").write_text(FULL)
     status = main(["fit", str(folder / "problem.toml")])

@@ -93,7 +93,7 @@ class MapsProblem:
     position: Path | None = None
     mask: Path | None = None
     color: Path | None = None
-    surface: int = 0
+    surface: int | Path = 0
     normal_encoding: Literal["vector", "color"] | None = None
     normal_frame: Literal["camera", "world"] = "camera"
     normal_y_down: bool = False

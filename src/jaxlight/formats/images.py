@@ -77,17 +77,46 @@ def decode_image(data: bytes, path: Path) -> np.ndarray:
         return _read_with_openimageio(data, path, "EXR", ".exr")
     if data.startswith(_PNG) and data[24:25] == b"\x10" and data[25:26] in (b"\x02", b"\x04", b"\x06"):
         return _read_with_openimageio(data, path, "16-bit colour PNG", ".png")
+
+    def read(image: Image.Image) -> np.ndarray:
+        if isinstance(image, TiffImageFile) and image.mode in _CUT_MODES and _bits(image) > 8:
+            pixels = _read_with_openimageio(data, path, f"{_bits(image)}-bit colour TIFF", ".tif")
+            return _divided_by_alpha(pixels) if _is_multiplied_by_alpha(image) else pixels
+        if data.startswith(_PNG) and image.mode == "L" and isinstance(image.info.get("transparency"), int):
+            # Of 2 or 4 bits Pillow scales the pixels to 8, but not the level that is transparent.
+            image.info["transparency"] *= 255 // (2 ** min(data[24], 8) - 1)
+        return pixels_of(image, path)
+
+    return _read_with_pillow(data, path, read)
+
+
+def read_levels(path: Path) -> np.ndarray:
+    """The whole numbers [height, width] of a PNG or TIFF that holds one a pixel: grey levels or palette indices.
+
+    Raises:
+        SceneFileError: as `read_image`, or another picture.
+    """
+    data = read_bounded(path)
+
+    def read(image: Image.Image) -> np.ndarray:
+        bits = _bits(image) if isinstance(image, TiffImageFile) else data[24] if data.startswith(_PNG) else 0
+        # Grey levels of fewer bits are scaled by Pillow.
+        if bits == 0 or not (image.mode == "P" or (image.mode, bits) == ("L", 8) or (image.mode[0], bits) == ("I", 16)):
+            expected = "expected a PNG or TIFF of grey levels of 8 or 16 bits, or of palette indices"
+            raise SceneFileError(path, None, f"{expected}, got a {image.format} of mode {image.mode}")
+        _check_pixels(image, path)
+        return np.asarray(ImageOps.exif_transpose(image) or image)
+
+    return _read_with_pillow(data, path, read)
+
+
+def _read_with_pillow(data: bytes, path: Path, read: Callable[[Image.Image], np.ndarray]) -> np.ndarray:
+    """What `read` makes of the image; whatever a decoder says of its content is a SceneFileError."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's own word on large images; the limit here is ours
         try:
             with Image.open(io.BytesIO(data), formats=_PILLOW_FORMATS) as image:
-                if isinstance(image, TiffImageFile) and image.mode in _CUT_MODES and _bits(image) > 8:
-                    pixels = _read_with_openimageio(data, path, f"{_bits(image)}-bit colour TIFF", ".tif")
-                    return _divided_by_alpha(pixels) if _is_multiplied_by_alpha(image) else pixels
-                if data.startswith(_PNG) and image.mode == "L" and isinstance(image.info.get("transparency"), int):
-                    # Of 2 or 4 bits Pillow scales the pixels to 8, but not the level that is transparent.
-                    image.info["transparency"] *= 255 // (2 ** min(data[24], 8) - 1)
-                return pixels_of(image, path)
+                return read(image)
         except SceneFileError:
             raise
         except (OSError, SyntaxError, ValueError, EOFError, MemoryError, Image.DecompressionBombError) as error:
@@ -98,8 +127,7 @@ def decode_image(data: bytes, path: Path) -> np.ndarray:
 
 def pixels_of(image: Image.Image, path: Path) -> np.ndarray:
     """The pixels of an opened Pillow image, as `read_image` returns them."""
-    if image.width * image.height > MAX_PIXELS:
-        raise SceneFileError(path, None, f"{image.width} x {image.height} pixels; at most {MAX_PIXELS} are read")
+    _check_pixels(image, path)
     # Pillow's mode for whole numbers of 32 bits, of which nothing says how large they may be.
     if image.mode == "I" and image.format != "PNG":
         raise SceneFileError(path, None, "whole numbers of 32 bits; 8 or 16 bits a component are read")
@@ -120,6 +148,11 @@ def pixels_of(image: Image.Image, path: Path) -> np.ndarray:
     pixels = np.atleast_3d(pixels)
     pixels /= largest  # in place: a large image is held once
     return pixels
+
+
+def _check_pixels(image: Image.Image, path: Path) -> None:
+    if image.width * image.height > MAX_PIXELS:
+        raise SceneFileError(path, None, f"{image.width} x {image.height} pixels; at most {MAX_PIXELS} are read")
 
 
 def _bits(image: TiffImageFile) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..arrays import FILL, GIVE_MASK, known_numbers
 from ..formats import read_image
-from ..formats.images import is_exr
+from ..formats.images import is_exr, read_levels
 from ..formats.levels import is_chosen, is_levels, refuse_levels
 
 MAX_BYTES = 1 << 31
@@ -36,15 +36,30 @@ def map_values(what: str, value: Any) -> tuple[np.ndarray, Literal["vector", "co
     if path.suffix.lower() not in _ARRAYS:
         image = read_image(path)
         return image, "vector" if is_exr(path) else "color"
+    return _numbers(f"samples_from_maps: {what}: {path}", what, _of_array_file(what, path)), "vector"
+
+
+def surface_numbers(value: Any) -> np.ndarray:
+    """Rows of `Scene.surfaces` as somebody gives them: the integers of an array or of a file as they stand there.
+
+    Raises:
+        ValueError: not numbers, or a file that cannot be read or holds no whole numbers.
+    """
+    if isinstance(value, (str, Path)):
+        path = Path(value)
+        value = _of_array_file("surface", path) if path.suffix.lower() in _ARRAYS else read_levels(path)
+    return known_numbers("samples_from_maps: surface", value, "integers", instead=GIVE_MASK)
+
+
+def _of_array_file(what: str, path: Path) -> np.ndarray:
     where = f"samples_from_maps: {what}: {path}"
     try:
-        stored = _stored(what, path)
+        return _stored(what, path)
     except (OSError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
         reason = getattr(error, "strerror", None) or f"not an array file: {error}"
         raise ValueError(f"{where}: {reason}") from None
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
-    return _numbers(where, what, stored), "vector"
 
 
 def _stored(what: str, path: Path) -> np.ndarray:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
 
-from ..arrays import GIVE_MASK, known_numbers
 from ..formats.levels import is_chosen
 from ..scene.fields import boolean, float_type, positive, vector3
 from .camera import Camera
-from .map_values import fitted, map_values
+from .map_values import fitted, map_values, surface_numbers
 from .pattern import morton
 from .samples import SampleBuffer
 
@@ -84,7 +84,8 @@ def samples_from_maps(
             finite and the normal is not zero. Of normals held as colours zero is mid grey (127 or 128 of 255 in all
             channels), and neither black pixels (0 in all channels) nor clear ones (alpha 0) hold a normal.
         color: [height, width, 3 or 4], colours in the place of vertex colours.
-        surface: row in `Scene.surfaces`, one for all or [height, width].
+        surface: row in `Scene.surfaces`, one for all or [height, width]; of a PNG or TIFF its grey levels of 8 or 16
+            bits, or its palette indices, are the rows.
         normal_encoding: "vector": the numbers are components; "color": n = 2 c - 1, as colour images hold normals.
             Default: "color" for image files other than EXR, "vector" for everything else.
         normal_frame: axes of the normals: "camera" (x right, y up, z to the viewer) or "world".
@@ -211,9 +212,11 @@ def _far_eye(view: Orthographic, points: np.ndarray, dtype: Any) -> np.ndarray:
 
 
 def _surface(surface: Any, height: int, width: int, rows: np.ndarray, columns: np.ndarray) -> Any:
-    if np.ndim(surface) == 0:
+    if np.ndim(surface) == 0 and not isinstance(surface, (str, Path)):
         return surface
-    numbers = known_numbers("samples_from_maps: surface", surface, "integers", instead=GIVE_MASK)
+    numbers = surface_numbers(surface)
+    if numbers.ndim == 0:
+        return numbers
     if numbers.shape != (height, width) or numbers.dtype.kind not in "iu":
         raise ValueError(
             f"samples_from_maps: surface: expected a row of Scene.surfaces or integers of shape {[height, width]}, "
