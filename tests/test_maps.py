@@ -243,6 +243,16 @@ def test_colours_and_surfaces_by_pixel() -> None:
 NORMAL = np.tile([0.0, 0, 1], (3, 4, 1))
 
 
+def test_a_depth_of_whole_levels_is_a_share_of_the_largest_in_a_picture_only(tmp_path: Path) -> None:
+    depth = np.full((3, 4), 2000, np.uint16)
+    np.save(tmp_path / "depth.npy", depth)
+    Image.fromarray(depth).save(tmp_path / "depth.png")
+    view = Orthographic()
+    for given, expected in ((depth, 2000), (tmp_path / "depth.npy", 2000), (tmp_path / "depth.png", 2000 / 65535)):
+        found = samples_from_maps(NORMAL, view, depth=given)
+        np.testing.assert_allclose(np.asarray(found.position)[:, 2], -expected, rtol=1e-12)
+
+
 def test_files_hold_the_surface_of_each_pixel(tmp_path: Path) -> None:
     surface = np.arange(12, dtype=np.uint8).reshape(3, 4) % 3
     np.save(tmp_path / "a.npy", surface.astype(np.int64))

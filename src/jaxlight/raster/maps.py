@@ -79,7 +79,9 @@ def samples_from_maps(
         normal: [height, width, 3], any length.
         view: where the picture was taken from; a Camera with intrinsics belongs to pictures of this size.
         position: [height, width, 3]. Give this or `depth`.
-        depth: [height, width], or one number for all, which will do where only directional lights shine.
+        depth: [height, width], or one number for all, which will do where only directional lights shine. Whole numbers
+            of an array, .npy or .npz stand as they are; those of an image file are, as in `read_image`, divided by the
+            largest of their size (for the millimetres of a 16-bit PNG give 65535 * read_image(path)).
         mask: [height, width], True (or from one half on) where there is a surface. Default: where normal and depth are
             finite and the normal is not zero. Of normals held as colours zero is mid grey (127 or 128 of 255 in all
             channels), and neither black pixels (0 in all channels) nor clear ones (alpha 0) hold a normal.
