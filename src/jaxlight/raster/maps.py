@@ -85,7 +85,7 @@ def samples_from_maps(
         mask: [height, width], True (or from one half on) where there is a surface. Default: where normal and depth are
             finite and the normal is not zero. Of normals held as colours zero is mid grey (127 or 128 of 255 in all
             channels), and neither black pixels (0 in all channels) nor clear ones (alpha 0) hold a normal.
-        color: [height, width, 3 or 4], colours in the place of vertex colours; shown by surfaces of shapes that have some.
+        color: [height, width, 3 or 4], colours in the place of vertex colours, shown by shapes that have some.
         surface: row in `Scene.surfaces`, one for all or [height, width]; of a PNG or TIFF its grey levels of 8 or 16
             bits, or its palette indices, are the rows.
         normal_encoding: "vector": the numbers are components; "color": n = 2 c - 1, as colour images hold normals.
