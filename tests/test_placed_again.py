@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import jaxlight
-from jaxlight import Scene, View, fit
+from jaxlight import Free, Scene, View, fit
 from jaxlight.cli import main
+from jaxlight.fit.problem import Problem, make_problem
 from jaxlight.scene import paths
 
 SCENE = """<X3D version="3.3"><Scene>
@@ -53,6 +56,41 @@ def test_its_number_is_one_in_a_fit(scene: Scene) -> None:
         assert result.value(INTENSITY) == result.value("PointLight[2].intensity")
         jaxlight.save(result.scene, "fitted.x3d")
         assert Path("fitted.x3d").read_text().count('USE="lamp"') == 1
+
+
+FIRST, AGAIN = "PointLight[1].intensity", "PointLight[2].intensity"
+LIKELY: dict[str, Any] = {"mean": 0.5, "deviation": 0.25}
+
+
+@pytest.mark.parametrize("free", [
+    [FIRST, Free(AGAIN, **LIKELY)],
+    [Free(AGAIN, **LIKELY), FIRST],
+    [Free(FIRST, **LIKELY), AGAIN],
+    [Free(FIRST, **LIKELY), Free(AGAIN, **LIKELY)],
+    [Free(FIRST, deviation=np.inf), Free(AGAIN, **LIKELY)],
+])  # fmt: skip
+def test_its_prior_counts_whichever_place_it_is_said_of(free: list[Any], scene: Scene) -> None:
+    parameters = problem_of(scene, free).parameters
+    assert parameters.prior_mean.tolist() == [0.5] and parameters.prior_precision.tolist() == [16.0]
+
+
+@pytest.mark.parametrize(
+    ("priors", "told"),
+    [
+        (({"mean": 0.5}, {"mean": 0.75}), "0.5 +- 0.25 and 0.75 +- 0.25"),
+        (({"mean": 0.5}, {}), "0.5 +- 0.25 and 0.7 +-"),
+    ],
+)
+def test_two_priors_of_its_one_number_are_refused(priors: Any, told: str, scene: Scene) -> None:
+    free = [Free(place, deviation=0.25, **prior) for place, prior in zip((FIRST, AGAIN), priors, strict=True)]
+    said = f"free: {FIRST} and {AGAIN} are one number, with two priors: {told}"
+    with pytest.raises(ValueError, match=re.escape(said)):
+        problem_of(scene, free)
+
+
+def problem_of(scene: Scene, free: list[Any]) -> Problem:
+    samples = jaxlight.rasterize(scene, jaxlight.Camera.default(scene), 24, 24)
+    return make_problem(scene, View(samples, jaxlight.read_image("target.png")), free)[0]
 
 
 def test_a_fit_of_the_command_line_writes_it(scene: Scene) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -85,6 +85,17 @@ def free_parameters(
     return Parameters(*arrays, leaves=numbers.leaves(world), blocks=tuple(made)), numbers.fields()
 
 
+class _Prior(NamedTuple):
+    """The prior of a number, and of which of those that are tied it was said."""
+
+    mean: float
+    deviation: float
+    label: str
+
+    def __str__(self) -> str:
+        return f"{self.mean:g} +- {self.deviation:g}"
+
+
 class _Numbers:
     """The numbers that are free, as they are found: start, bounds and prior of each, and what each sets."""
 
@@ -94,6 +105,9 @@ class _Numbers:
         self._upper: list[float] = []
         self._mean: list[float] = []
         self._precision: list[float] = []
+        self._found: list[float] = []
+        """Where the first one of each tie stands."""
+        self._priors: dict[int, _Prior] = {}
         self._of_tie: dict[tuple[Any, ...], int] = {}
         self._members: dict[str, list[tuple[Chosen, int]]] = {}
         self._sets: dict[paths.Leaf | None, dict[int, int]] = {}
@@ -109,9 +123,13 @@ class _Numbers:
         tie: tuple[Any, ...],
         value: float,
         bounds: tuple[float, float],
-        prior: tuple[float, float | None],
+        prior: tuple[float | None, float | None],
     ) -> None:
-        """One more that is free; those of the same tie are one number, which begins at the first one's start."""
+        """One more that is free; those of the same tie are one number, which begins at the first one's start.
+
+        Raises:
+            ValueError: the number's start is outside these bounds, or it has another prior.
+        """
         low, high = bounds
         if tie in self._of_tie:
             number = self._of_tie[tie]
@@ -121,14 +139,27 @@ class _Numbers:
             self._start[number] = min(max(self._start[number], low), high)
         else:
             number = self._of_tie[tie] = len(self._start)
-            mean, deviation = prior
             self._start.append(min(max(value, low), high))
             self._lower.append(low)
             self._upper.append(high)
-            self._mean.append(mean)
-            self._precision.append(0.0 if deviation is None else deviation**-2)
+            self._found.append(value)
+            self._mean.append(value)
+            self._precision.append(0.0)
+        self._add_prior(one, number, *prior)
         self._sets.setdefault(one.leaf, {})[one.element] = number
         self._members.setdefault(one.path, []).append((one, number))
+
+    def _add_prior(self, one: Chosen, number: int, mean: float | None, deviation: float | None) -> None:
+        """What one of a tie says of its number; `mean` None: as it is."""
+        if deviation is None or np.isinf(deviation):
+            return
+        own = _Prior(self._found[number] if mean is None else mean, deviation, one.label)
+        earlier = self._priors.setdefault(number, own)
+        if earlier[:2] != own[:2]:
+            raise ValueError(
+                f"free: {earlier.label} and {own.label} are one number, with two priors: {earlier} and {own}"
+            )
+        self._mean[number], self._precision[number] = own.mean, deviation**-2
 
     def columns(self) -> list[np.ndarray]:
         """The first fields of `Parameters`, from `start` to `prior_precision`."""
@@ -171,8 +202,8 @@ def _add_numbers(numbers: _Numbers, catalogue: Catalogue, request: Free, chosen:
         if numbers.has(one.leaf, one.element):
             raise ValueError(f"free: {one.label} is named twice")
         value = catalogue.value(one)
-        prior = _prior(request, one, component, value)
-        numbers.add(one, tie, value, _bounds(request, one, component, value), prior)
+        bounds = _bounds(request, one, component, value)
+        numbers.add(one, tie, value, bounds, _prior(request, one, component))
 
 
 def _check_options(request: Free, chosen: list[Chosen]) -> None:
@@ -328,10 +359,10 @@ def _check_one_prior(request: Free, path: str) -> None:
             raise ValueError(f"{path}: {option}: expected one number where all are tied, got {given!r:.60}")
 
 
-def _prior(request: Free, one: Chosen, component: int, value: float) -> tuple[float, float | None]:
+def _prior(request: Free, one: Chosen, component: int) -> tuple[float | None, float | None]:
     if request.deviation is None:
         if request.mean is not None:
             raise ValueError(f"{one.path}: a prior mean needs a deviation")
-        return value, None
+        return None, None
     deviation = _component(f"{one.path}: deviation", request.deviation, component, above=0.0, infinite=True)
-    return (value if request.mean is None else _component(f"{one.path}: mean", request.mean, component)), deviation
+    return (None if request.mean is None else _component(f"{one.path}: mean", request.mean, component)), deviation
