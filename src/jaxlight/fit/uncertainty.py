@@ -209,7 +209,7 @@ class _Reduced(NamedTuple):
     loss: Any
     """Of the pictures alone."""
     noise: Any
-    """Standard deviation of a residual: 1 if it is stated, else from all that is left; at least what is rounded."""
+    """Standard deviation of a residual: 1 if it is stated, else from what pictures leave; at least what is rounded."""
     gradient: Any
     curvature: Any
     answers: Any
@@ -281,10 +281,10 @@ def _remarks(problem: Problem, description: Description, loss: float, fitted: fl
 def _reduced(problem: Problem, values: Any, noise_known: Any, eps: Any) -> _Reduced:
     parameters, count = problem.parameters, problem.parameters.few
     loss, gradient, matrix = normal.normal_equations(problem, values)
-    of_pictures = loss - normal.prior_loss(problem, values)
+    of_pictures = jnp.maximum(loss - normal.prior_loss(problem, values), 0)
     curvature = as_curvature(matrix)
     diagonal = curvature.diagonal()
-    left = jnp.where(noise_known, 1, jnp.sqrt(2 * loss / problem.count))
+    left = jnp.where(noise_known, 1, jnp.sqrt(2 * of_pictures / problem.count))
     noise = jnp.maximum(left, eps * jnp.sqrt(2 * problem.signal / problem.count))
     lengths = jnp.sqrt(jnp.maximum(diagonal[:count], 0))
     precision = parameters.prior_precision
