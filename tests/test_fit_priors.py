@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
-from fit_scenes import material, precision, sphere_picture, sphere_samples, sphere_scene
+from fit_scenes import key_light, material, precision, sphere_picture, sphere_samples, sphere_scene
 from jaxlight import Free, Scene, View
 from jaxlight.fit.problem import make_problem
 from jaxlight.fit.uncertainty import Uncertainty, uncertainty
@@ -28,3 +29,29 @@ def test_what_a_bound_holds_does_not_depend_on_priors_of_other_numbers() -> None
         for deviation in (np.inf, 0.01):
             free = [Free(f"{DIFFUSE}.r", mean=0.9, deviation=deviation), Free(f"{DIFFUSE}.g", upper=0.28)]
             assert at_start(sphere_scene(body=body, dtype=dtype), view, free).standard_error[1] == 0
+
+
+@pytest.mark.parametrize("bits", ["float32", "float64"])
+def test_a_prior_determines_what_pictures_do_not_however_precise_they_are(bits: str) -> None:
+    """Strength against albedo; at last the prior is less than the rounding of the matrix."""
+    free = [DIFFUSE, Free("PointLight[key].intensity", deviation=0.2)]
+    body = material(specular_color=(0, 0, 0))
+    expected = 0.2 * np.array([0.6 / 0.9, 0.3 / 0.9, 0.2 / 0.9, 1])
+    with precision(bits) as dtype:
+        for noise in (1e-3, 3e-5, 1e-6, 1e-8):
+            view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, body=body), noise=noise)
+            found = at_start(sphere_scene(body=body, dtype=dtype), view, free)
+            assert found.well_posed and found.rank == 4
+            np.testing.assert_allclose(found.standard_error, expected, rtol=1e-3)
+
+
+def test_a_prior_determines_nothing_but_what_moves_its_number() -> None:
+    """Two lights in one place stay unknown, while their sum is known from the exposure's prior."""
+    lights = [key_light(), key_light(name="twin", intensity=0.4)]
+    prior = Free("View[0].exposure", deviation=0.1)
+    with precision("float64") as dtype:
+        for noise in (1e-2, 1e-6):
+            view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, *lights), noise=noise)
+            found = at_start(sphere_scene(*lights, dtype=dtype), view, ["PointLight[*].intensity", prior])
+            assert found.rank == 2 and len(found.ambiguities) == 1 and found.ambiguities[0].kept == "sum"
+            np.testing.assert_allclose(found.standard_error, [np.inf, np.inf, 0.1], rtol=1e-3)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .identify import NULL, analyse
+from .identify import NULL, Seen, analyse
 
 SIGNIFICANT = 3.0
 """Standard errors by which the pictures must want a number beyond its bound."""
@@ -17,6 +17,7 @@ SIGNIFICANT = 3.0
 
 def held_by_bounds(
     curvature: np.ndarray,
+    precision: np.ndarray,
     gradient: np.ndarray,
     scale: np.ndarray,
     size: np.ndarray,
@@ -27,7 +28,7 @@ def held_by_bounds(
     """True for the numbers that a bound holds.
 
     Args:
-        curvature, scale, size: as for `analyse`.
+        curvature, precision, scale, size: as for `analyse`.
         gradient: slope of the loss, texels eliminated.
         side: -1 for numbers on their lower bound, 1 on their upper, 0 on none.
         fixed: True for numbers whose bounds are one: they are held whatever the pictures want.
@@ -35,8 +36,9 @@ def held_by_bounds(
     """
     held = fixed | (side * gradient < 0)
     while np.any(held & ~fixed):
-        seen = analyse(curvature, held, scale, size)
-        inverse = pseudo_inverse(curvature, scale, ~held & ~seen.unseen, len(seen.null))
+        seen = analyse(curvature, precision, held, scale, size)
+        # What only priors tell moves no picture, and so does not answer.
+        inverse = inverse_of_seen(curvature, held, seen)
         answers = curvature @ inverse
         slope = gradient - answers @ gradient
         bend = np.maximum(np.diagonal(curvature) - np.sum(answers * curvature, axis=1), 0)
@@ -47,13 +49,22 @@ def held_by_bounds(
     return held
 
 
-def pseudo_inverse(curvature: np.ndarray, scale: np.ndarray, use: np.ndarray, nulls: int) -> np.ndarray:
-    """Inverse over the numbers in `use`, without the `nulls` directions that are not seen."""
-    rows = np.flatnonzero(use)
-    inverse = np.zeros_like(curvature)
-    if len(rows) > nulls:
+def inverse_of_seen(curvature: np.ndarray, held: np.ndarray, seen: Seen) -> np.ndarray:
+    """Inverse over the numbers that are seen and not held, without the directions that no picture tells."""
+    rows, dropped = np.flatnonzero(~held & ~seen.unseen), len(seen.null) + len(seen.by_priors)
+    inverse, scale = np.zeros_like(curvature), seen.scale
+    if len(rows) > dropped:
         scaled = curvature[np.ix_(rows, rows)] / (scale[rows][:, None] * scale[rows][None, :])
         eigenvalues, vectors = np.linalg.eigh(scaled)
-        vectors = vectors[:, nulls:] / scale[rows][:, None]
-        inverse[np.ix_(rows, rows)] = (vectors / eigenvalues[nulls:]) @ vectors.T
+        vectors = vectors[:, dropped:] / scale[rows][:, None]
+        inverse[np.ix_(rows, rows)] = (vectors / eigenvalues[dropped:]) @ vectors.T
     return inverse
+
+
+def inverse_of_priors(precision: np.ndarray, seen: Seen) -> np.ndarray:
+    """The same over the directions that only priors tell."""
+    directions = seen.by_priors / np.where(seen.scale > 0, seen.scale, 1)
+    curvature = (directions * precision) @ directions.T
+    lengths = np.sqrt(np.diagonal(curvature))
+    directions /= lengths[:, None]
+    return directions.T @ np.linalg.inv(curvature / (lengths[:, None] * lengths[None, :])) @ directions

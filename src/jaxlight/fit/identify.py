@@ -1,7 +1,8 @@
 """What pictures cannot tell: directions in which the free fields may move without any picture changing, in words.
 
-The scaled Gauss-Newton matrix (unit diagonal) has an eigenvalue 0 for each such direction. The directions are given
-in as few fields as possible, and told by what is kept: a product, a ratio, a sum, or a vector's direction.
+The scaled Gauss-Newton matrix (unit diagonal) has an eigenvalue 0 for each such direction. Those that a prior tells are
+known, however little it adds to the matrix beside precise pictures. The others are given in as few fields as possible,
+and told by what is kept: a product, a ratio, a sum, or a vector's direction.
 """
 
 from __future__ import annotations
@@ -46,6 +47,8 @@ class Seen(NamedTuple):
     """True where no picture depends on the number at all."""
     null: np.ndarray
     """[directions, numbers]: an orthonormal basis, in scaled variables, of what cannot be told."""
+    by_priors: np.ndarray
+    """The same of what priors tell, and pictures do not."""
     eigenvalues: np.ndarray
     """Of the scaled matrix over the numbers that are seen and not held, ascending."""
     scale: np.ndarray
@@ -61,11 +64,14 @@ class Partner(NamedTuple):
     texels: np.ndarray
 
 
-def analyse(curvature: np.ndarray, held: np.ndarray, scale: np.ndarray, size: np.ndarray) -> Seen:
+def analyse(
+    curvature: np.ndarray, precision: np.ndarray, held: np.ndarray, scale: np.ndarray, size: np.ndarray
+) -> Seen:
     """Sort the numbers by what a Gauss-Newton matrix says of them.
 
     Args:
         curvature: J^T J in float64, priors included, texels eliminated.
+        precision: of the numbers' priors; 0: none.
         held: True for numbers that press against a bound: they are taken as known.
         scale: length of each column of the Jacobian, before texels were eliminated.
         size: of each number, in its own unit: what a change of it is to be measured by.
@@ -77,7 +83,10 @@ def analyse(curvature: np.ndarray, held: np.ndarray, scale: np.ndarray, size: np
     eigenvalues, vectors = np.linalg.eigh(scaled) if len(use) else (np.zeros(0), np.zeros((0, 0)))
     null = np.zeros((int(np.count_nonzero(eigenvalues < NULL)), len(curvature)))
     null[:, use] = vectors[:, eigenvalues < NULL].T
-    return Seen(unseen, null, eigenvalues, scale)
+    # Beside precise pictures a prior may be less than rounding: what counts is that a direction moves what has one.
+    turned, moved, _ = np.linalg.svd(np.where(precision > 0, null, 0), full_matrices=False)
+    null, told = turned.T @ null, int(np.count_nonzero(moved > _ZERO))
+    return Seen(unseen, null[told:], null[:told], eigenvalues, scale)
 
 
 def ambiguities(

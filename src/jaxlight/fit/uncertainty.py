@@ -18,7 +18,7 @@ from ..lighting.compiling import quick_jit
 from ..promotion import usual_promotion
 from . import normal
 from .curvature import ArrowCurvature, as_curvature
-from .held import SIGNIFICANT, held_by_bounds, pseudo_inverse
+from .held import SIGNIFICANT, held_by_bounds, inverse_of_priors, inverse_of_seen
 from .identify import Ambiguity, Partner, ambiguities, analyse
 from .leftover import Leftover, leftover
 from .problem import Description, Problem
@@ -162,10 +162,12 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
     curvature, lengths = reduced.curvature, reduced.lengths
     sizes = np.where(reduced.sizes > 0, reduced.sizes, 1)
     side = on_upper.astype(int) - on_lower
-    held = held_by_bounds(curvature, reduced.gradient, lengths, sizes, side, fixed, float(reduced.noise))
-    seen = analyse(curvature, held, lengths, sizes)
+    held = held_by_bounds(
+        curvature, reduced.precision, reduced.gradient, lengths, sizes, side, fixed, float(reduced.noise)
+    )
+    seen = analyse(curvature, reduced.precision, held, lengths, sizes)
     rank = int(np.count_nonzero(~held & ~seen.unseen)) - len(seen.null)
-    inverse = pseudo_inverse(curvature, seen.scale, ~held & ~seen.unseen, len(seen.null))
+    inverse = inverse_of_seen(curvature, held, seen) + inverse_of_priors(reduced.precision, seen)
     fitted = rank - float(np.diagonal(inverse) @ reduced.precision) + float(reduced.texels)
     unknown = "" if left is None else _why_unknown(description, left, fitted)
     noise, variance = (np.inf, np.inf) if unknown else _noise(description, left, fitted)
