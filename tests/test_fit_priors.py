@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fit_scenes import key_light, material, precision, sphere_picture, sphere_samples, sphere_scene
-from jaxlight import Free, Scene, View
+from jaxlight import Free, Scene, View, fit
 from jaxlight.fit.problem import make_problem
 from jaxlight.fit.uncertainty import Uncertainty, uncertainty
 
@@ -55,3 +55,17 @@ def test_a_prior_determines_nothing_but_what_moves_its_number() -> None:
             found = at_start(sphere_scene(*lights, dtype=dtype), view, ["PointLight[*].intensity", prior])
             assert found.rank == 2 and len(found.ambiguities) == 1 and found.ambiguities[0].kept == "sum"
             np.testing.assert_allclose(found.standard_error, [np.inf, np.inf, 0.1], rtol=1e-3)
+
+
+@pytest.mark.parametrize(("bits", "found"), [("float32", False), ("float64", True)])
+def test_values_that_a_prior_did_not_draw_to_it_are_told(bits: str, found: bool) -> None:
+    """Beside pictures as precise as these the prior is less than the rounding of float32."""
+    free = [DIFFUSE, Free("PointLight[key].intensity", mean=1.1, deviation=0.1)]
+    body = material(specular_color=(0, 0, 0))
+    with precision(bits) as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, body=body, noise=1e-4), noise=1e-4)
+        result = fit(sphere_scene(body=body, dtype=dtype), view, free)
+    assert result.converged and "quarter of a standard error" not in result.message
+    off = abs(result.value("PointLight[key].intensity") - 1.1) / 0.1
+    said = f"the values are {off:.2g} standard errors from the best, in what priors tell"
+    assert (off < 0.01) == found and any(said in line for line in result.uncertainty.messages()) == (not found)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .identify import NULL, Seen, analyse
+from .identify import NULL, Seen, analyse, scaled_eigen
 
 SIGNIFICANT = 3.0
 """Standard errors by which the pictures must want a number beyond its bound."""
@@ -54,8 +54,7 @@ def inverse_of_seen(curvature: np.ndarray, held: np.ndarray, seen: Seen) -> np.n
     rows, dropped = np.flatnonzero(~held & ~seen.unseen), len(seen.null) + len(seen.by_priors)
     inverse, scale = np.zeros_like(curvature), seen.scale
     if len(rows) > dropped:
-        scaled = curvature[np.ix_(rows, rows)] / (scale[rows][:, None] * scale[rows][None, :])
-        eigenvalues, vectors = np.linalg.eigh(scaled)
+        eigenvalues, vectors = scaled_eigen(curvature, rows, scale)
         vectors = vectors[:, dropped:] / scale[rows][:, None]
         inverse[np.ix_(rows, rows)] = (vectors / eigenvalues[dropped:]) @ vectors.T
     return inverse

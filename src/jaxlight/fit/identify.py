@@ -23,7 +23,7 @@ NULL = 1e-10
 """Eigenvalue of the scaled matrix, computed in float64, below which a direction counts as not seen."""
 _UNSEEN = 1e-14
 """Change of all pictures with a number, of its size and relative to the greatest such, that is rounding."""
-_ZERO = 1e-4
+ZERO = 1e-4
 """Share of the largest component below which a component of a direction counts as 0."""
 _MAX_SUBSETS = 20_000
 
@@ -79,14 +79,19 @@ def analyse(
     change = scale * size
     unseen = ~(change > _UNSEEN * np.max(change, initial=0)) & ~held
     use = np.flatnonzero(~unseen & ~held)
-    scaled = curvature[np.ix_(use, use)] / (scale[use][:, None] * scale[use][None, :])
-    eigenvalues, vectors = np.linalg.eigh(scaled) if len(use) else (np.zeros(0), np.zeros((0, 0)))
+    eigenvalues, vectors = scaled_eigen(curvature, use, scale)
     null = np.zeros((int(np.count_nonzero(eigenvalues < NULL)), len(curvature)))
     null[:, use] = vectors[:, eigenvalues < NULL].T
     # Beside precise pictures a prior may be less than rounding: what counts is that a direction moves what has one.
     turned, moved, _ = np.linalg.svd(np.where(precision > 0, null, 0), full_matrices=False)
-    null, told = turned.T @ null, int(np.count_nonzero(moved > _ZERO))
+    null, told = turned.T @ null, int(np.count_nonzero(moved > ZERO))
     return Seen(unseen, null[told:], null[:told], eigenvalues, scale)
+
+
+def scaled_eigen(curvature: np.ndarray, use: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues, ascending, and eigenvectors of the scaled matrix over the numbers in use."""
+    scaled = curvature[np.ix_(use, use)] / (scale[use][:, None] * scale[use][None, :])
+    return np.linalg.eigh(scaled) if len(use) else (np.zeros(0), np.zeros((0, 0)))
 
 
 def ambiguities(
@@ -111,7 +116,7 @@ def _sparse_basis(null: np.ndarray) -> list[np.ndarray]:
     count = len(null)
     if count == 0:
         return []
-    taking_part = np.flatnonzero(np.max(np.abs(null), axis=0) > _ZERO)
+    taking_part = np.flatnonzero(np.max(np.abs(null), axis=0) > ZERO)
     candidates = []
     if count == 1:
         candidates = [null[0]]
@@ -121,7 +126,7 @@ def _sparse_basis(null: np.ndarray) -> list[np.ndarray]:
         _, _, right = np.linalg.svd(null.T[subsets])
         candidates = list(right[:, -1] @ null)
     candidates += list(_echelon(null, taking_part))
-    cleaned = [np.where(np.abs(c) > _ZERO * np.max(np.abs(c)), c, 0) for c in candidates]
+    cleaned = [np.where(np.abs(c) > ZERO * np.max(np.abs(c)), c, 0) for c in candidates]
     cleaned.sort(key=np.count_nonzero)
     basis: list[np.ndarray] = []
     for candidate in cleaned:

@@ -45,9 +45,11 @@ def message_of(outcome: Outcome, state: FitState, history: Sequence[Step], rms: 
     if math.isnan(rms) and outcome == "interrupted":
         return "Interrupted before the start values were evaluated; they are unchanged."
     if outcome == "converged" and bool(state.solver.at_kink):
+        # How far it is from there is an estimate of what pictures tell.
+        near = "" if problem.parameters.has_priors else ", within a quarter of a standard error of the optimum"
         return (
-            f"Converged in {trials} to a kink of the equation (samples where a light sets or its cone ends), "
-            f"within a quarter of a standard error of the optimum; {left}."
+            f"Converged in {trials} to a kink of the equation (samples where a light sets or its cone ends)"
+            f"{near}; {left}."
         )
     return {
         "converged": f"Converged in {trials}; {left}.",

@@ -22,6 +22,7 @@ from .held import SIGNIFICANT, held_by_bounds, inverse_of_priors, inverse_of_see
 from .identify import Ambiguity, Partner, ambiguities, analyse
 from .leftover import Leftover, leftover
 from .problem import Description, Problem
+from .unresolved import FAR, off_by_priors
 from .widened import widened
 
 ENOUGH = 10
@@ -168,6 +169,7 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
     seen = analyse(curvature, reduced.precision, held, lengths, sizes)
     rank = int(np.count_nonzero(~held & ~seen.unseen)) - len(seen.null)
     inverse = inverse_of_seen(curvature, held, seen) + inverse_of_priors(reduced.precision, seen)
+    off = off_by_priors(curvature, reduced.precision, reduced.gradient, side, held, seen, float(rounding))
     fitted = rank - float(np.diagonal(inverse) @ reduced.precision) + float(reduced.texels)
     unknown = "" if left is None else _why_unknown(description, left, fitted)
     noise, variance = (np.inf, np.inf) if unknown else _noise(description, left, fitted)
@@ -200,7 +202,7 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
         ambiguities=tuple(ambiguities(seen, found, labels, description.fields, partners)),
         hardly_seen=tuple((labels[i], float(error[i])) for i in np.flatnonzero(hardly).tolist()),
         correlations=tuple(_correlations(covariance, labels, traded)),
-        remarks=(*filter(None, [unknown]), *_remarks(problem, description, float(reduced.loss), fitted)),
+        remarks=(*filter(None, [unknown]), *_remarks(problem, description, float(reduced.loss), fitted, off)),
         unseen_texels=tuple(_unseen_texels(problem, reduced.rows)),
     )
 
@@ -261,11 +263,17 @@ def _why_unknown(description: Description, left: Leftover, fitted: float) -> str
     return ""
 
 
-def _remarks(problem: Problem, description: Description, loss: float, fitted: float) -> list[str]:
+def _remarks(problem: Problem, description: Description, loss: float, fitted: float, off: float) -> list[str]:
+    lost = []
+    if off > FAR:
+        lost.append(
+            f"the values are {off:.2g} standard errors from the best, in what priors tell and no picture does: "
+            f"{problem.parameters.start.dtype} does not resolve it beside pictures as precise as these"
+        )
     if not description.noise_known:
         stated = "priors are weighed as if the noise of a picture were 1: state the views' `noise`"
-        return [stated] if problem.parameters.has_priors else []
-    said = []
+        return [*lost, stated] if problem.parameters.has_priors else []
+    said = lost
     if description.weighted:
         said.append("a point of weight w is taken for one whose noise is noise / sqrt(w): weights change the errors")
     freedom = float(problem.count) - fitted
