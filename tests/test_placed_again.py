@@ -58,6 +58,12 @@ def test_its_number_is_one_in_a_fit(scene: Scene) -> None:
         assert Path("fitted.x3d").read_text().count('USE="lamp"') == 1
 
 
+@pytest.mark.parametrize("path", ["PointLight[1].color.g", "PointLight[2].color.g"])
+def test_a_path_of_one_place_frees_it_at_every_place(path: str, scene: Scene) -> None:
+    (leaf,) = problem_of(scene, [path]).parameters.leaves
+    np.testing.assert_array_equal(np.reshape(leaf.source, (3, 3)), [[-1, -1, -1], [-1, 0, -1], [-1, 0, -1]])
+
+
 FIRST, AGAIN = "PointLight[1].intensity", "PointLight[2].intensity"
 LIKELY: dict[str, Any] = {"mean": 0.5, "deviation": 0.25}
 

@@ -65,9 +65,13 @@ class Catalogue:
         """The first row of the number's node; rows of one node (USE) have its one value."""
         if one.leaf is None:
             return one.row
-        if one.leaf.kind not in self._first_rows:
-            self._first_rows[one.leaf.kind] = paths.first_rows(self.scene, one.leaf.kind)
-        return self._first_rows[one.leaf.kind][one.row]
+        return self.first_rows(one.leaf.kind)[one.row]
+
+    def first_rows(self, kind: str) -> list[int]:
+        """Of every row of a kind the first one of its node."""
+        if kind not in self._first_rows:
+            self._first_rows[kind] = paths.first_rows(self.scene, kind)
+        return self._first_rows[kind]
 
 
 def choose(

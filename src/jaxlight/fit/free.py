@@ -82,7 +82,7 @@ def free_parameters(
             f"free: a prior's deviation is too small: 1 / deviation^2 is more than {np.dtype(dtype)} holds"
         )
     arrays = (array_of(column, dtype) for column in columns)
-    return Parameters(*arrays, leaves=numbers.leaves(world), blocks=tuple(made)), numbers.fields()
+    return Parameters(*arrays, leaves=numbers.leaves(catalogue, world), blocks=tuple(made)), numbers.fields()
 
 
 class _Prior(NamedTuple):
@@ -165,12 +165,14 @@ class _Numbers:
         """The first fields of `Parameters`, from `start` to `prior_precision`."""
         return [np.array(column) for column in (self._start, self._lower, self._upper, self._mean, self._precision)]
 
-    def leaves(self, world: World) -> tuple[FreeLeaf, ...]:
-        """Where the numbers go."""
+    def leaves(self, catalogue: Catalogue, world: World) -> tuple[FreeLeaf, ...]:
+        """Where the numbers go: of a node that is placed several times (USE) to all its rows, whichever is meant."""
         leaves = []
         for leaf, numbers in self._sets.items():
             source = np.full(world.array(leaf).size, -1, np.int32)
             source[list(numbers)] = list(numbers.values())
+            if leaf is not None and leaf.row < 0:
+                source = _at_every_place(source, catalogue.first_rows(leaf.kind))
             leaves.append(FreeLeaf(array_of(source, np.int32), leaf))
         return tuple(leaves)
 
@@ -188,6 +190,15 @@ class _Numbers:
             )
             for path, parts in self._members.items()
         ]
+
+
+def _at_every_place(source: np.ndarray, first: list[int]) -> np.ndarray:
+    """Which number sets an element (-1: none), rows of one node, of which `first` is the first row, alike."""
+    rows = source.reshape(len(first), -1)
+    of_node = rows.copy()
+    for row, node in enumerate(first):
+        of_node[node] = np.maximum(of_node[node], rows[row])
+    return np.where(rows < 0, of_node[first], rows).reshape(-1)
 
 
 def _add_numbers(numbers: _Numbers, catalogue: Catalogue, request: Free, chosen: list[Chosen], place: int) -> None:
