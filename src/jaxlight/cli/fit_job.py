@@ -8,7 +8,7 @@ import json
 import math
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,11 +22,8 @@ from .start_values import with_start_values
 from .status import FAILURE, INTERRUPTED, SUCCESS
 
 if TYPE_CHECKING:
-    import numpy as np
-
     import jaxlight
     from jaxlight.fit import Step
-    from jaxlight.scene.paths import Leaf
 
 MAX_ROWS = 60
 """Numbers listed on the terminal."""
@@ -158,17 +155,12 @@ class FitJob:
         if self.problem.start:
             with blamed_on(self.source, "start"):
                 changed_nodes(scene)
-        moved: dict[Leaf, np.ndarray] = {}
         for row, free in enumerate(self.problem.frees):
             with blamed_on(self.source, "free", row):
                 chosen = select(scene, [path for path in free.paths if not path.startswith("View[")])
-                for leaf, mask in chosen:
-                    moved[leaf] = moved[leaf] | mask if leaf in moved else mask
                 headlight = scene.directional is not None and scene.directional.headlight
                 if headlight and any(leaf.kind == "DirectionalLight" and mask[-1].any() for leaf, mask in chosen):
                     raise ValueError("the headlight is the browser's, no file holds it; add a light to the scene")
-        with blamed_on(self.source, "free"):
-            _check_whole_nodes(scene, moved)
         return scene
 
     def _write(
@@ -190,19 +182,6 @@ class FitJob:
         transfer = "srgb" if all(one.decode == "srgb" for one in asked) else "none"
         write_report(report_file, result, views, title=title, transfer=transfer, warnings=warned)
         return textures
-
-
-def _check_whole_nodes(scene: jaxlight.Scene, moved: Mapping[Leaf, np.ndarray]) -> None:
-    """Raise ValueError where a node that is placed several times (USE) would have to have several values."""
-    from jaxlight.scene.paths import first_rows
-
-    for leaf, mask in moved.items():
-        for row, first in enumerate(first_rows(scene, leaf.kind)):
-            if first < row and (mask[first] != mask[row]).any():
-                raise ValueError(
-                    f"{leaf.kind}[{first}] and {leaf.kind}[{row}] are one node that is used again (USE), with one "
-                    f"{leaf.field}; free both"
-                )
 
 
 @contextlib.contextmanager
