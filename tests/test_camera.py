@@ -98,6 +98,17 @@ def test_rays_run_row_by_row_through_the_sample_points() -> None:
         np.testing.assert_allclose(ray @ camera.rotation[:, 2], -1)  # one unit of depth
 
 
+def test_distances_and_directions_of_any_length() -> None:
+    box = Scene.from_nodes([nodes.Shape(geometry=nodes.Box())])
+    for size in (1e-310, 1e-200, 1e200):
+        for along in ((0, 0, -size), (0, -size, 0), (size, size, 0)):
+            small = Camera.look_at((0, 0, 0), along, up=(0, 0.5 * size, -size))
+            np.testing.assert_allclose(small.rotation, Camera.look_at((0, 0, 0), np.sign(along), (0, 0.5, -1)).rotation)
+            np.testing.assert_allclose(
+                Camera.view_all(box, along).rotation, Camera.view_all(box, np.sign(along)).rotation
+            )
+
+
 @pytest.mark.parametrize("samples", [1, 2, 4, 5, 8, 16, 64, 256])
 def test_sample_patterns_fill_every_row_and_column(samples: int) -> None:
     pattern = sample_pattern(samples)
@@ -115,6 +126,7 @@ def test_sample_patterns_fill_every_row_and_column(samples: int) -> None:
         (lambda: Camera.look_at((0, 0, 1), (0, 0, 0), field_of_view=math.pi), r"radians in \(0, pi\)"),
         (lambda: Camera(np.zeros(3), np.diag([1, 1, -1.0]), 1.0), "expected a rotation matrix"),
         (lambda: Camera.look_at((0, 0, 1), (0, 0, 0), field_of_view="wide"), "radians in .*, got 'wide'"),
+        (lambda: Camera.look_at((0, 0, 1), (0, 0, 0), field_of_view=True), "radians in .*, got True"),
         (lambda: Camera(np.zeros(3), np.eye(3)), "either field_of_view or intrinsics"),
         (lambda: Camera.from_intrinsics(), "a matrix K, or all of fx, fy, cx, cy"),
         (lambda: Camera.from_intrinsics(fx=1, fy=1, cx=2), "a matrix K, or all of fx, fy, cx, cy"),

@@ -100,6 +100,23 @@ def test_the_sky_changes_with_the_angle_from_the_zenith() -> None:
     np.testing.assert_array_equal(sky(sphere_scene(), samples), (0, 0, 0))
 
 
+def test_derivatives_of_the_sky_are_finite_at_the_zenith() -> None:
+    """The middle pixel looks straight up, where the angle from the zenith has a tip."""
+    background = nodes.Background(sky_color=np.eye(3), sky_angle=(1.0, 2.0))
+    samples = rasterize(sphere_scene(background), Camera.look_at((0, -3, 0), (0, 0, 0), (0, 0, 1), 1.0), 5, 5)
+    assert samples.pixel_to_world is not None
+
+    def brightness(pixel_to_world: jax.Array) -> jax.Array:
+        turned = eqx.tree_at(lambda s: s.pixel_to_world, samples, pixel_to_world)
+        return jnp.sum(sky(sphere_scene(background), turned)[..., 0])
+
+    gradient = jax.grad(brightness)(samples.pixel_to_world)
+    step = jnp.zeros((3, 3)).at[0, 2].set(1e-3)  # off the tip by as much to either side: all others change smoothly
+    change = brightness(samples.pixel_to_world + step) - brightness(samples.pixel_to_world - step)
+    np.testing.assert_allclose(gradient[0, 2], change / 2e-3, atol=1e-3)
+    assert np.all(np.isfinite(gradient))
+
+
 @pytest.mark.parametrize("colors", [1, 3])
 @pytest.mark.parametrize("dtype", ["float16", "bfloat16"])
 def test_the_sky_behind_half_precision_is_that_of_float32(dtype: str, colors: int) -> None:

@@ -217,6 +217,17 @@ def test_a_tiff_of_16_bits_keeps_them(tmp_path: Path, components: int) -> None:
     np.testing.assert_allclose(read_image(tmp_path / "a.tif"), pixels / 65535, atol=1e-7)
 
 
+@pytest.mark.parametrize("left", [40, 0.5])
+def test_of_a_damaged_exr_the_message_names_no_other_file(tmp_path: Path, left: float) -> None:
+    pytest.importorskip("OpenImageIO")
+    write_image(tmp_path / "a.exr", np.random.default_rng(0).uniform(size=(20, 20, 3)))
+    data = (tmp_path / "a.exr").read_bytes()
+    (tmp_path / "a.exr").write_bytes(data[: left if left > 1 else int(left * len(data))])
+    with pytest.raises(SceneFileError, match=r"a\.exr: (not an image that can be read|damaged image)") as told:
+        read_image(tmp_path / "a.exr")
+    assert str(told.value).count("/") == str(tmp_path / "a.exr").count("/")
+
+
 @pytest.mark.parametrize("bits", [8, 16])
 def test_a_tiff_in_which_0_is_white_is_no_negative(tmp_path: Path, bits: int) -> None:
     levels = np.array([[0, 1, 2**bits - 1]])

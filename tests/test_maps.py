@@ -352,6 +352,8 @@ def test_errors_of_views_and_files(tmp_path: Path) -> None:
         samples_from_maps(NORMAL, "front", depth=1.0)
     with pytest.raises(ValueError, match="pixel_size: expected a finite number > 0"):
         Orthographic(pixel_size=0)
+    with pytest.raises(ValueError, match=r"^Orthographic.rotation: expected a rotation matrix, got \[\[2.0"):
+        Orthographic(rotation=2 * np.eye(3))
     np.savez(tmp_path / "two.npz", a=NORMAL, b=NORMAL)
     with pytest.raises(ValueError, match=r"two\.npz: holds a, b; none is named 'normal'"):
         samples_from_maps(tmp_path / "two.npz", CAMERA, depth=1.0)

@@ -97,14 +97,18 @@ def test_half_precision_is_widened_at_the_door(half: Any) -> None:
 
 @pytest.mark.parametrize("half", HALVES, ids=["bfloat16", "float16"])
 def test_pixels_that_half_precision_samples_cover_wholly_are_fitted(half: Any) -> None:
-    """Three shares of a third add up to 1 +- 2^-9 in bfloat16; a pixel that lacks a sample is left out all the same."""
+    """Shares are not rounded to the samples' type; if they are, three of a third add up to 1 +- 2^-9 in bfloat16. A
+    pixel that lacks a sample is left out all the same.
+    """
     scene, view = Scene.from_nodes([nodes.Shape(geometry=nodes.Sphere())]), nodes.Viewpoint(position=(0, 0, 4))
     for count in (3, 5, 7, 48, 107, 144):
         samples = rasterize(scene, view, 12, samples=count, dtype=half)
         lying = np.bincount(np.asarray(samples.pixel), minlength=144)
         coverage = Coverage.of(samples)
-        np.testing.assert_array_equal(coverage.is_whole, lying[coverage.pixel] == count)
+        for own in (coverage, Coverage.of(halved(samples, half))):
+            np.testing.assert_array_equal(own.is_whole, lying[coverage.pixel] == count)
         assert 0 < np.count_nonzero(coverage.is_whole) < len(coverage.pixel)
+        np.testing.assert_allclose(coverage.covered[coverage.is_whole], 1, atol=1e-6)
     lacking = SampleBuffer.create(*rows(4), EYE, pixel=[0, 0, 1, 1], coverage=[0.5, 0.49, 0.5, 0.5], width=2, height=1)
     assert Coverage.of(halved(lacking, half)).is_whole.tolist() == [False, True]
 

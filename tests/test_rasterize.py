@@ -269,6 +269,22 @@ def test_coverage_is_the_area_of_a_pixel_that_a_shape_covers(samples_per_pixel: 
     assert len(np.unique(np.round(covered, 9))) > 2
 
 
+@pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
+def test_positions_that_lose_their_digits_are_told(dtype: str) -> None:
+    """float32 keeps 7 digits: at 1e5 sizes from the origin 2 are left for what the picture shows, in float64 enough."""
+
+    def told(distance: float, dtype: str) -> bool:
+        there = nodes.Transform(translation=(0, distance, 0), children=[shape(nodes.Sphere()), nodes.Viewpoint()])
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            rasterize(Scene.from_nodes([there]), width=8, dtype=dtype)
+        assert all("from the origin" in str(one.message) for one in caught)
+        return bool(caught)
+
+    assert [told(distance, dtype) for distance in (0, 1e3, 1e6)] == [False, False, True]
+    assert not told(1e6, "float64")
+
+
 def test_one_sample_a_pixel_is_the_first_of_many_patterns() -> None:
     samples = rasterize(Scene.from_nodes([ELLIPSOID]), VIEW, 40, 30)
     assert samples.coverage is None

@@ -100,6 +100,7 @@ def test_rows_of_another_shape_are_refused(own: dict[str, np.ndarray], message: 
 
 TEXELS = np.zeros((1, 4), int)
 ONE: dict[str, Any] = {"position": np.zeros((1, 3)), "normal": np.ones((1, 3)), "eye": (0, 0, 5)}
+FOUR: dict[str, Any] = {"position": np.zeros((4, 3)), "normal": np.ones((4, 3)), "width": 3, "height": 1}
 
 
 @pytest.mark.parametrize(
@@ -136,6 +137,15 @@ ONE: dict[str, Any] = {"position": np.zeros((1, 3)), "normal": np.ones((1, 3)), 
         ),
         ({"coverage": [-0.5]}, r"coverage: expected shares in \[0, 1\], got -0.5 to -0.5"),
         ({"coverage": [5.0]}, r"coverage: expected shares in \[0, 1\], got 5.0 to 5.0"),
+        (
+            FOUR | {"pixel": [1, 0, 1, 2]},
+            "coverage: expected shares of a pixel that add up to at most 1, got 2 in pixel 1; "
+            "without coverage each sample stands for a whole pixel",
+        ),
+        (
+            FOUR | {"pixel": [2, 0, 0, 0], "coverage": [1.0, 0.5, 0.25, 0.5]},
+            "coverage: expected shares of a pixel that add up to at most 1, got 1.25 in pixel 0$",
+        ),
     ],
 )
 def test_what_makes_no_buffer_is_refused(own: dict[str, Any], message: str) -> None:

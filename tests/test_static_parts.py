@@ -122,25 +122,30 @@ def test_a_plan_without_radii_serves_all_places() -> None:
     np.testing.assert_array_equal(shade(endless, away, plan=make_plan(endless, SAMPLE)), shade(endless, away))
 
 
+@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("field", ["location", "radius", "attenuation", "intensity", "color"])
-def test_numbers_of_lights_that_are_none_are_refused(field: str) -> None:
+def test_numbers_of_lights_that_are_none_are_refused(field: str, number: float) -> None:
     leaf = getattr(SCENE.point, field)
-    broken = eqx.tree_at(lambda scene: getattr(scene.point, field), SCENE, jnp.full_like(leaf, jnp.nan))
-    with pytest.raises(ValueError, match=rf"PointLight\[key\].{field}: every number must be finite, got NaN"):
+    broken = eqx.tree_at(lambda scene: getattr(scene.point, field), SCENE, jnp.full_like(leaf, number))
+    if np.isinf(number) and field in ("radius", "attenuation"):
+        assert np.all(np.isfinite(shade(broken, SAMPLE)))
+        return
+    with pytest.raises(ValueError, match=rf"PointLight\[key\].{field}: every number must be finite, got {number}"):
         shade(broken, SAMPLE)
     off = dataclasses.replace(broken.point, on=Flags([False]))
     unlit = dataclasses.replace(broken, point=off)
     assert np.all(np.isfinite(shade(unlit, SAMPLE)))
 
 
-def test_texels_that_are_none_are_refused() -> None:
+@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf])
+def test_texels_that_are_none_are_refused(number: float) -> None:
     texture = nodes.ImageTexture(image=np.full((2, 2, 3), 0.5))
     ball = nodes.Shape(appearance=nodes.Appearance(texture=texture), geometry=nodes.Sphere())
     scene = Scene.from_nodes([ball, LAMP])
     broken = eqx.tree_at(
-        lambda scene: scene.textures[0].image, scene, replace_fn=lambda image: image.at[0, 1].set(jnp.nan)
+        lambda scene: scene.textures[0].image, scene, replace_fn=lambda image: image.at[0, 1].set(number)
     )
-    with pytest.raises(ValueError, match=r"Texture\[0\].image: every number must be finite, got NaN"):
+    with pytest.raises(ValueError, match=rf"Texture\[0\].image: every number must be finite, got {number}"):
         shade(broken, SAMPLE)
 
 

@@ -262,7 +262,8 @@ def _read_with_openimageio(data: bytes, path: Path, what: str, suffix: str) -> n
         as_stored.attribute("oiio:UnassociatedAlpha", 1)  # no multiplication of colour by alpha
         file = library.ImageInput.open(str(copy), as_stored)
         if file is None:
-            raise SceneFileError(path, None, f"not an image that can be read: {_first_line(library.geterror())}")
+            said = _first_line(library.geterror()).replace(str(copy), path.name)
+            raise SceneFileError(path, None, f"not an image that can be read: {said}")
         try:
             upright = _TURNED.get(file.spec().get_int_attribute("Orientation", 1), _TURNED[1])
             return upright(_pixels_of_file(library, file, path))

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from ..lighting.compiling import quick_jit
 from ..lighting.prepared import compute_dtype
+from ..lighting.vectors import Vector, cross, dot, unit
 from ..raster import SampleBuffer
 from ..scene import Scene
 
@@ -41,6 +42,8 @@ def _by_angle(
     assert samples.pixel_to_world is not None and samples.width is not None and samples.height is not None
     dtype = colors.dtype
     u, v = jnp.arange(samples.width, dtype=dtype) + 0.5, jnp.arange(samples.height, dtype=dtype)[:, None] + 0.5
-    ray = jnp.stack([row[0] * u + row[1] * v + row[2] for row in samples.pixel_to_world], axis=-1)
-    from_zenith = jnp.arctan2(jnp.linalg.norm(jnp.cross(ray, zenith), axis=-1), ray @ zenith)
+    ray = Vector(*(row[0] * u + row[1] * v + row[2] for row in samples.pixel_to_world))
+    up = Vector(*zenith)
+    _, aside = unit(cross(ray, up))
+    from_zenith = jnp.arctan2(aside, dot(ray, up))
     return jnp.stack([jnp.interp(from_zenith, angles, colors[:, i]) for i in range(3)], axis=-1)

@@ -46,10 +46,7 @@ class Camera:
 
     def __post_init__(self) -> None:
         _set(self, "position", _finite("Camera.position", self.position, (3,)))
-        rotation = _finite("Camera.rotation", self.rotation, (3, 3))
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
-            raise ValueError(f"Camera.rotation: expected a rotation matrix, got {rotation.tolist()}")
-        _set(self, "rotation", rotation)
+        _set(self, "rotation", checked_rotation("Camera.rotation", self.rotation))
         if (self.field_of_view is None) == (self.intrinsics is None):
             raise ValueError("Camera: expected either field_of_view or intrinsics")
         if self.field_of_view is not None:
@@ -157,7 +154,7 @@ class Camera:
         toward = _finite("Camera.view_all: direction", direction, (3,))
         if not np.any(toward):
             raise ValueError("Camera.view_all: direction is zero")
-        toward = toward / np.linalg.norm(toward)
+        toward = _unit(toward)
         up = np.array([0.0, 0.0, -1.0]) if abs(toward[1]) > 0.99 else np.array([0.0, 1.0, 0.0])
         distance = (radius or 1.0) / math.sin(field_of_view / 2)
         return cls(center - distance * toward, _upright(toward, up), field_of_view)
@@ -255,19 +252,34 @@ def _size(where: str, width: int, height: int) -> tuple[int, int]:
     return whole(f"{where}: width", width, at_least=1), whole(f"{where}: height", height, at_least=1)
 
 
+def checked_rotation(what: str, value: Any) -> np.ndarray:
+    """The matrix [3, 3] of a rotation; raises ValueError for another."""
+    rotation = _finite(what, value, (3, 3))
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
+        raise ValueError(f"{what}: expected a rotation matrix, got {rotation.tolist()}")
+    return rotation
+
+
+def _unit(direction: np.ndarray) -> np.ndarray:
+    """Of length 1, whose square neither overflows nor underflows on the way."""
+    _, exponent = math.frexp(np.abs(direction).max())
+    scaled = np.ldexp(direction, -exponent)
+    return scaled / (np.linalg.norm(scaled) or 1.0)
+
+
 def _upright(toward: np.ndarray, up: np.ndarray) -> np.ndarray:
     """Camera axes to world: looking along `toward`, `up` upwards."""
-    back = -toward / np.linalg.norm(toward)
-    right = np.cross(up, back)
+    back = -_unit(toward)
+    right = np.cross(_unit(up), back)
     length = np.linalg.norm(right)
-    if not length > 1e-12 * np.linalg.norm(up):
+    if not length > 1e-12:
         raise ValueError(f"Camera: up {up.tolist()} points along the view {toward.tolist()}")
     right = right / length
     return np.stack([right, np.cross(back, right), back], axis=1)
 
 
 def _check_angle(what: str, radians: float) -> None:
-    if not isinstance(radians, int | float | np.number) or not 0 < radians < math.pi:
+    if not isinstance(radians, int | float | np.number) or isinstance(radians, bool) or not 0 < radians < math.pi:
         raise ValueError(f"{what}: expected radians in (0, pi), got {radians!r}")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..formats.levels import is_chosen
 from ..scene.fields import boolean, float_type, positive, vector3
-from .camera import Camera
+from .camera import Camera, checked_rotation
 from .map_values import fitted, map_values, surface_numbers
 from .pattern import morton
 from .samples import SampleBuffer
@@ -46,8 +46,7 @@ class Orthographic:
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixel_size", positive("Orthographic.pixel_size", self.pixel_size))
         object.__setattr__(self, "center", vector3("Orthographic.center", self.center))
-        checked = Camera(np.asarray(self.center), self.rotation, field_of_view=1.0)
-        object.__setattr__(self, "rotation", checked.rotation)
+        object.__setattr__(self, "rotation", checked_rotation("Orthographic.rotation", self.rotation))
 
     def pixel_to_world(self, width: int, height: int) -> np.ndarray:
         """As of a Camera, of whose pixels each has a ray of its own; here all are one."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..scene import Scene, nodes
 from ..scene.checks import check_has_nodes
-from ..scene.fields import float_type
+from ..scene.fields import float_type, type_or_own
 from .camera import Camera
 from .depth_buffer import rows_of
 from .face_depth import PreparedFaces
@@ -18,6 +18,8 @@ from .placed import Hits, PlacedShapes
 from .samples import MANY_LIGHTS, SampleBuffer
 from .visibility import Prepared, barycentric, first_hits
 
+FAR = 1e4
+"""How many times its own size what is seen may lie from the origin: 3 of the 7 digits of float32 are left there."""
 MAX_SIDE = 1 << 15
 MAX_PICTURE_SAMPLES = 1 << 26
 """Samples of one picture (8192 x 8192, one sample a pixel)."""
@@ -54,7 +56,8 @@ def rasterize(
             lies farther from the origin than 1e100, too many triangles (more than 2^25 of all placed shapes together).
 
     Warns:
-        UserWarning: nothing is seen, or the scene has no geometry; the buffer then has no samples.
+        UserWarning: nothing is seen, or the scene has no geometry; the buffer then has no samples. Or what is seen
+            lies so far from the origin that its places keep few digits in `dtype` (float32 and smaller).
     """
     check_has_nodes("rasterize: scene", scene)
     dtype = float_type("rasterize: dtype", dtype)
@@ -72,6 +75,7 @@ def rasterize(
         warnings.warn(f"rasterize: {reason}; the picture is all background", stacklevel=2)
     pixel_to_world = camera.pixel_to_world(width, height)
     attributes = placed.attributes(camera.position, _hits(triangles, faces, seen, pixel_to_world))
+    _warn_if_far(attributes.position, camera.position, type_or_own(dtype))
     return SampleBuffer.create(
         **attributes._asdict(),
         eye=camera.position,
@@ -85,6 +89,19 @@ def rasterize(
         by_place=any(lights is not None and len(lights.names) >= MANY_LIGHTS for lights in (scene.point, scene.spot)),
         dtype=dtype,
     )
+
+
+def _warn_if_far(position: np.ndarray, eye: np.ndarray, dtype: np.dtype) -> None:
+    if dtype == np.float64:
+        return
+    places = np.concatenate([position, eye[None]])
+    size, distance = np.ptp(places, axis=0).max(), np.abs(places).max()
+    if distance > FAR * size > 0:
+        warnings.warn(
+            f"rasterize: the scene lies {distance:.3g} from the origin, and what is seen of it is {size:.3g} in size: "
+            f"few digits of its places are left in {dtype}; move it to the origin, or use float64",
+            stacklevel=3,
+        )
 
 
 class _Seen(NamedTuple):

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..arrays import array_of, known_numbers, refuse_masked
 from ..formats.levels import refuse_levels
 from ..processor import sizes
-from ..scene.fields import boolean, float_type, largest_of, whole
+from ..scene.fields import boolean, float_type, largest_of, type_or_own, whole
 
 MIN_TILE = 64
 MAX_TILE = 1 << 24
@@ -109,7 +109,7 @@ class SampleBuffer(eqx.Module):
             color: [N, 3] or [N, 4], the interpolated vertex colours, of which 1 is the brightest.
             texel_index, texel_weight: [N, 4], texels (row * width + column) of the surface's texture and their weights.
             pixel: [N], row * width + column, row 0 at the top; needs `width` and `height`.
-            coverage: [N], share of the pixel that a sample stands for.
+            coverage: [N], share of the pixel that a sample stands for (kept in float32 at least); default: all of it.
             camera_to_world: [3, 3], rotation from camera axes to the world.
             pixel_to_world: [3, 3], (u, v, 1) in pixels to the direction of its ray in world axes.
             tile: samples a tile, a power of two (default: chosen from N).
@@ -147,6 +147,8 @@ class SampleBuffer(eqx.Module):
         if coverage is not None and np.any((coverage < 0) | (coverage > 1 + 1e-6)):
             least, most = coverage.min(), coverage.max()
             raise ValueError(f"SampleBuffer: coverage: expected shares in [0, 1], got {least} to {most}")
+        if pixel is not None:
+            _check_shares(pixel, coverage)
         camera_to_world = None if camera_to_world is None else _vector("camera_to_world", camera_to_world, (3, 3))
         pixel_to_world = None if pixel_to_world is None else _vector("pixel_to_world", pixel_to_world, (3, 3))
         tile = None if tile is None else whole("SampleBuffer: tile", tile, at_least=1)
@@ -198,7 +200,9 @@ class SampleBuffer(eqx.Module):
             if texel_weight is None
             else array_of(np.ascontiguousarray(texel_weight[layout.source].T), dtype),
             pixel_slots=None if pixels is None else array_of(pixels, jnp.int32),
-            coverage_slots=None if share is None else array_of(share, dtype),
+            coverage_slots=None
+            if share is None
+            else array_of(share, jnp.promote_types(type_or_own(dtype), jnp.float32)),
             slot=None if layout.slot is None else array_of(layout.slot, jnp.int32),
             tile_surface=array_of(layout.tile_surface, jnp.int32),
             tile_low=array_of(in_tiles.min(axis=1).T, dtype),
@@ -464,6 +468,18 @@ def _check_finite(what: str, array: np.ndarray) -> None:
     if not np.all(np.isfinite(array)):
         bad = np.argwhere(~np.isfinite(array))[0].tolist()
         raise ValueError(f"SampleBuffer: {what}: every number must be finite; {what}{bad} is {array[tuple(bad)]}")
+
+
+def _check_shares(pixel: np.ndarray, coverage: np.ndarray | None) -> None:
+    """Shares that were rounded to 8 bits may add up to a little more than 1."""
+    covered = np.bincount(pixel, coverage)
+    most = int(np.argmax(covered)) if covered.size else 0
+    if covered.size and covered[most] > 1.01:
+        hint = "; without coverage each sample stands for a whole pixel" if coverage is None else ""
+        raise ValueError(
+            "SampleBuffer: coverage: expected shares of a pixel that add up to at most 1, "
+            f"got {covered[most]:g} in pixel {most}{hint}"
+        )
 
 
 def _indices(

@@ -24,6 +24,8 @@ _CLASSES = {
 }  # fmt: skip
 _ROWS = ("materials", "lights")
 """Dimensions that count nodes; other names stand for any size."""
+_MAY_BE_INFINITE = ("radius", "attenuation", "beam_width", "visibility_range")
+"""Fields whose limit the equation has: no end, no light, no ramp, no fog."""
 _checked: WeakValueDictionary[int, Scene] = WeakValueDictionary()
 """Scenes that are right, by identity: they never change, and are shaded again and again."""
 _right_frames: WeakValueDictionary[tuple[int, str], Any] = WeakValueDictionary()
@@ -106,28 +108,31 @@ def _check_leaves(name: str, owner: Any) -> None:
 
 
 def _check_numbers(kind: str, owner: Any) -> None:
-    """No number that is known is NaN, but of lights that are off, which nobody reads."""
+    """No number that is known is NaN or infinite, but of lights that are off, which nobody reads."""
     names = getattr(owner, "names", None)
     for field in _dimensions(type(owner)):
         leaf = getattr(owner, field)
         if isinstance(leaf, Tracer):
             continue
-        bad = np.isnan(np.asarray(leaf)).reshape(1 if names is None else len(names), -1).any(axis=1)
+        known = np.asarray(leaf).reshape(1 if names is None else len(names), -1)
+        bad = np.isnan(known) if field in _MAY_BE_INFINITE else ~np.isfinite(known)
         if kind in LIGHT_KINDS:
-            bad &= owner.on.array
+            bad &= owner.on.array[:, None]
         if np.any(bad):
-            row = int(np.argmax(bad))
+            row = int(np.argmax(bad.any(axis=1)))
             label = kind if names is None else f"{kind}[{names[row] or row}]"
-            raise ValueError(f"{label}.{field}: every number must be finite, got NaN")
+            raise ValueError(f"{label}.{field}: every number must be finite, got {known[bad][0]}")
 
 
 def _check_texels(name: str, texture: Texture) -> None:
-    """No number of a texture that is known is NaN."""
+    """No number of a texture that is known is NaN or infinite."""
     image: Any = texture.image
     if isinstance(image, Tracer) or _right_images.get(id(image)) is image:
         return
-    if np.isnan(np.min(np.asarray(image), initial=0)):
-        raise ValueError(f"{name}.image: every number must be finite, got NaN")
+    known = np.asarray(image)
+    for extreme in (np.min(known, initial=0), np.max(known, initial=0)):
+        if not np.isfinite(extreme):
+            raise ValueError(f"{name}.image: every number must be finite, got {extreme}")
     _right_images[id(image)] = image
 
 

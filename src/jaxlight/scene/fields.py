@@ -116,9 +116,14 @@ def integer(where: str, value: Any) -> int:
     return int(x)
 
 
+def type_or_own(dtype: jnp.dtype | None) -> jnp.dtype:
+    """What `float_type` gives, with JAX's own type for None."""
+    return jnp.result_type(float) if dtype is None else dtype
+
+
 def largest_of(dtype: Any) -> float:
     """The largest number of a float type; None: JAX's own type."""
-    return float(jnp.finfo(jnp.result_type(float) if dtype is None else dtype).max)
+    return float(jnp.finfo(type_or_own(dtype)).max)
 
 
 _FLOATS = tuple(map(jnp.dtype, (jnp.float64, jnp.float32, jnp.float16, jnp.bfloat16)))
