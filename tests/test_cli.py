@@ -87,6 +87,10 @@ BAD_WORDS = {
     "a pipe": (("info", "pipe.x3d"), "pipe.x3d: is a pipe or a device; only files are read"),
     "no such viewpoint": (("render", "scene.x3d", "--output", "a.png", "--viewpoint", "back"), "front, side"),
     "not a picture": (("render", "scene.x3d", "--output", "a.xyz"), ".png"),
+    "in a file": (
+        ("render", "scene.x3d", "--output", "scene.x3d/b/a.png"),
+        "error: scene.x3d: expected a folder, got a",
+    ),
     "broken scene": (("info", "broken.x3d"), "broken.x3d"),
     "bad value": (("info", "bad.x3d"), "bad.x3d:8: "),
     "not a scene": (("info", "notes.txt"), "notes.txt"),

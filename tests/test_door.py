@@ -52,6 +52,11 @@ def test_every_name_resolves(name: str) -> None:
     assert name in dir(jaxlight)
 
 
+def test_only_public_names_are_listed() -> None:
+    assert {name for name in dir(jaxlight) if not name.startswith("__")} == set(jaxlight.__all__)
+    assert {"__all__", "__doc__", "__version__"} <= set(dir(jaxlight))
+
+
 def test_type_checkers_see_the_same_names() -> None:
     tree = ast.parse(Path(jaxlight.__file__).read_text())
     (block,) = [node for node in tree.body if isinstance(node, ast.If)]

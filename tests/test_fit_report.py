@@ -172,6 +172,7 @@ def test_pictures_and_the_chart_can_be_told_apart_without_being_seen(fitted, tmp
     assert described[0] == "View[a]: target" and described[5].startswith("View[b]: model - target, blue -")
     chart = re.search(r"<svg.*</svg>", page)
     assert chart is not None and ">step</text>" in chart[0] and ">residual RMS</text>" in chart[0]
+    assert '<meta name="viewport" content="width=device-width">' in page
 
 
 def test_linear_light_is_shown_as_srgb(fitted, tmp_path: Path) -> None:

@@ -176,7 +176,11 @@ MISTAKES = {
     ),
     "bounds without the start": ("lower = 0.1", "lower = 0.99", "3: free[1]: Material[body].diffuse_color.r starts at"),
     "no exposure": ("mask =", "exposure = -1\nmask =", "10: views[1].exposure: expected a finite number > 0, got -1"),
-    "no noise": ("mask =", "noise = 0\nmask =", "10: views[1].noise: every standard deviation must be finite and > 0"),
+    "no noise": (
+        "mask =",
+        "noise = 0\nmask =",
+        "10: views[1].noise: expected a standard deviation, finite and > 0, got 0",
+    ),
     "no such light": ("mask =", 'lights = ["PointLight[zz]"]\nmask =', "10: views[1].lights: the scene has no 'PointL"),
     "no such view": ("free = [", 'free = ["View[zz].exposure", ', "2: free[0]: there is no field 'View[zz].exposure'"),
     "no field of a view": (

@@ -65,6 +65,18 @@ def test_numbers_that_an_option_does_not_take_are_refused(option: str, capsys: p
     assert capsys.readouterr().err == f"jaxlight: error: stress: --{name}: expected a number >= {least}, got {value}\n"
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--precisions"], "--precisions: expected at least one of float32, float64"),
+        (["--cases", "0", "--adversarial", "0"], "--cases, --adversarial: both are 0, there is nothing to judge"),
+    ],
+)
+def test_a_run_of_nothing_is_refused(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["stress", *words]) == 2
+    assert capsys.readouterr().err == f"jaxlight: error: stress: {message}\n"
+
+
 def test_without_a_checkout_one_sentence_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

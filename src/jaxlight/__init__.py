@@ -82,7 +82,8 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_STAGE_OF, "__version__"})
+    own = {name for name in globals() if name.startswith("__") and name.endswith("__")}
+    return sorted({*own, *_STAGE_OF, "__version__"})
 
 
 class _Door(types.ModuleType):

@@ -46,5 +46,8 @@ def picture_path(path: Path) -> None:
     """Raise ValueError if no picture can be written under this name: said before the work, not after it."""
     if path.is_dir():
         raise ValueError(f"{path}: expected a file, got a folder")
+    for folder in path.parents:
+        if folder.exists() and not folder.is_dir():
+            raise ValueError(f"{folder}: expected a folder, got a file")
     if path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".exr"):
         raise ValueError(f"{path}: expected a name that ends in .png, .jpg, .jpeg or .exr")

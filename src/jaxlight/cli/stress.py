@@ -59,6 +59,10 @@ class Stress:
             value = getattr(self, name)
             if value is not None and not value >= least:
                 raise ValueError(f"stress: --{name}: expected a number >= {least}, got {value}")
+        if not self.precisions:
+            raise ValueError("stress: --precisions: expected at least one of float32, float64")
+        if self.cases + self.adversarial == 0:
+            raise ValueError("stress: --cases, --adversarial: both are 0, there is nothing to judge")
         if self.case and self.seed is None:
             raise ValueError("stress: --case needs the --seed of its run")
         return _command().run(self)

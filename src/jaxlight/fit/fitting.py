@@ -105,7 +105,10 @@ class Fit:
         raise ValueError(f"{path!r} was not free; free: {', '.join(free)}")
 
     def residual_image(self, view: int = 0) -> np.ndarray:
-        """Weighted residual (model - target) of one view: [height, width, 3], NaN where nothing was seen; or [N, 3]."""
+        """Weighted residual (model - target) of one view: [height, width, 3], NaN where nothing was seen; or [N, 3].
+
+        `view`: its place among the views, from 0; another is a ValueError.
+        """
         return residual_image(self.problem, self.state.values, view)
 
     def __str__(self) -> str:

@@ -38,7 +38,7 @@ def left_of(rms: float, problem: Problem) -> str:
 def message_of(outcome: Outcome, state: FitState, history: Sequence[Step], rms: float, problem: Problem) -> str:
     """The same in a sentence, after these steps."""
     left = left_of(rms, problem)
-    trials = f"{state.accepted} steps ({state.tried} tried)"
+    trials = f"{state.accepted} step{'' if state.accepted == 1 else 's'} ({state.tried} tried)"
     coarse = sum(step.part < 1 for step in history)
     if coarse > 1:
         trials += f", the first {coarse - 1} with {100 * history[0].part:.3g} % of the samples"

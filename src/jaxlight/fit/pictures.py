@@ -131,7 +131,7 @@ def _place(problem: Problem, view: int) -> tuple[ViewData, int]:
         for position, row in enumerate(np.asarray(stack.row).tolist()):
             if row == view:
                 return stack, position
-    raise ValueError(f"view: expected a row of the {len(problem.world.exposure)} views, got {view}")
+    raise ValueError(f"view: expected a row of the {len(problem.world.exposure)} views, got {view!r:.60}")
 
 
 @quick_jit

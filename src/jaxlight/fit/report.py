@@ -85,7 +85,8 @@ def report_page(
     """The page as text."""
     verdict = "good" if result.converged else "bad"
     return f"""<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>
 <h1>{html.escape(title)}</h1>
 <p class="{verdict}">{html.escape(result.message)}</p>
 <p>{_setting(result)}</p>
@@ -272,7 +273,8 @@ figure { margin: 0 }
 img { width: 100%; border: 1px solid #ccc; box-sizing: border-box }
 img.small { image-rendering: pixelated }
 figcaption { font-size: 85%; color: #555 }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; display: block; overflow-x: auto }
+svg { max-width: 100%; height: auto }
 td, th { padding: .15rem .9rem .15rem 0; text-align: right; border-bottom: 1px solid #eee }
 td:first-child, th:first-child { text-align: left }
 .good { color: #17692f; font-weight: 600 } .bad { color: #a01c1c; font-weight: 600 }

@@ -187,13 +187,18 @@ def _weights(view: View, layout: _Layout, mask: Bool[np.ndarray, " points"]) -> 
     if view.noise is None:
         return weight
     noise = _numbers(f"{label}.noise", view.noise)
-    noise = np.full((layout.points, 1), noise) if noise.ndim == 0 else layout.points_of("noise", noise)
+    if noise.ndim == 0:
+        if not (np.isfinite(noise) and noise > 0):
+            raise ValueError(f"{label}.noise: expected a standard deviation, finite and > 0, got {noise}")
+        noise = np.full((layout.points, 1), noise)
+    else:
+        noise = layout.points_of("noise", noise)
     used = weight > 0
     bad = np.any(used & ~(np.isfinite(noise) & (noise > 0)), axis=1)
     if np.any(bad):
         raise ValueError(
-            f"{label}.noise: every standard deviation must be finite and > 0; {np.count_nonzero(bad)} of used points "
-            f"are not (first: {layout.where(int(np.argmax(bad)))})"
+            f"{label}.noise: every standard deviation must be finite and > 0; {np.count_nonzero(bad)} of the used "
+            f"points are not (first: {layout.where(int(np.argmax(bad)))})"
         )
     with np.errstate(all="ignore"):  # what is too little or too much is said where it is used
         return np.where(used, weight / noise**2, 0.0)
