@@ -13,6 +13,10 @@ from typing import Any
 import numpy as np
 import tyro
 
+from jaxlight.lighting.clusters import InLanes, InRows
+
+from .contenders.base import Operation
+from .contenders.jaxlight_shade import samples_of
 from .entrants import JAXLIGHT
 from .gate import Metric, run_gate
 from .harness import Case, Measurement, measure
@@ -20,7 +24,9 @@ from .report import conditions, own_failures, save, skipped_lines, table
 from .settings import Settings, say
 from .workload import Arrays, Workload, make_arrays
 
-_OPERATIONS = ("forward", "value_and_gradient")
+_OPERATIONS: tuple[Operation, ...] = ("forward", "value_and_gradient")
+_AT_ONCE = 256
+"""Clusters that are held against all lights at once."""
 _IN_ROWS = dataclasses.replace(JAXLIGHT, label="jaxlight, in rows", options=(("by_place", False),))
 
 
@@ -63,6 +69,8 @@ def main() -> int:
         "lights",
         "samples",
         "reach a sample",
+        "listed",
+        "worked through",
         "ms",
         "x the few",
         "max error",
@@ -77,11 +85,15 @@ def main() -> int:
 
 
 def _row(m: Measurement, ratio: float | None) -> list[Any]:
+    arrays = make_arrays(m.case.work)
+    by_place = m.case.entrant == JAXLIGHT
+    lists = mean_lists(m.case.work, arrays, by_place, m.case.operation) if m.case.work.cover else (None, None)
     return [
         m.case.operation,
         m.case.work.lights,
-        "by place" if m.case.entrant == JAXLIGHT and m.case.work.cover else "in rows",
-        mean_reach(m.case.work, make_arrays(m.case.work)),
+        "by place" if by_place and m.case.work.cover else "in rows",
+        mean_reach(m.case.work, arrays),
+        *lists,
         1e3 * m.seconds,
         ratio,
         m.error and m.error["largest"],
@@ -95,6 +107,24 @@ def mean_reach(work: Workload, arrays: Arrays) -> float:
     position = arrays.position[:, np.random.default_rng(0).integers(work.samples, size=1000)]
     offset = arrays.lights["location"][:, :, None] - position
     return float(np.mean(np.sum(np.sum(offset**2, axis=1) <= arrays.lights["radius"][:, None] ** 2, axis=0)))
+
+
+def mean_lists(work: Workload, arrays: Arrays, by_place: bool, operation: Operation) -> tuple[float, float]:
+    """How many lights a cluster lists on average, and how many entries of lists it works through: those of the longest
+    of the lists side by side, some at a time."""
+    samples = samples_of(arrays, np.float32, by_place=by_place)
+    low, high = (np.asarray(end)[:, :, None] for end in (samples.cluster_low, samples.cluster_high))
+    location, radius = arrays.lights["location"].T[:, None], arrays.lights["radius"]
+    length = np.empty(low.shape[1], int)
+    for first in range(0, len(length), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        outside = np.maximum(np.maximum(low[:, some] - location, location - high[:, some]), 0)
+        length[some] = np.count_nonzero(np.sum(outside**2, axis=0) <= radius**2, axis=1)
+    arrangement = InRows if operation == "forward" else InLanes
+    in_block = samples.group * samples.tile // samples.cluster
+    side_by_side = np.sort(length.reshape(-1, in_block)).reshape(-1, min(arrangement.at_once(), in_block))
+    parts = -(-side_by_side.max(axis=1) // arrangement.entries)
+    return float(np.mean(length)), float(np.mean(parts * arrangement.entries))
 
 
 if __name__ == "__main__":
