@@ -73,7 +73,10 @@ def test_help_and_version(run) -> None:
 
 BAD_WORDS = {
     "no command": ((), "jaxlight --help"),
-    "unknown command": (("rendr",), "rendr"),
+    "unknown command": (
+        ("rendr", "scene.x3d", "--output", "a.png"),
+        "error: 'rendr' is no command; expected one of info, render, fit, gradcheck, stress (see jaxlight --help)",
+    ),
     "missing scene": (("info",), "SCENE"),
     "missing option": (("render", "scene.x3d"), "--output"),
     "unknown option": (("render", "scene.x3d", "--output", "a.png", "--wdth", "3"), "Perhaps you meant: --width"),
@@ -441,27 +444,6 @@ def test_gradcheck_says_that_it_checked_nothing(run) -> None:
 # --- the process ------------------------------------------------------------------------------------------------------
 
 
-def test_ctrl_c_ends_with_130_and_one_line(run) -> None:
-    code = """
-import os, signal, sys, time
-import jaxlight
-from jaxlight.cli import main
-
-signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of a shell start with it ignored
-
-def long_work(*args, **options):
-    os.kill(os.getpid(), signal.SIGINT)
-    time.sleep(10)
-
-jaxlight.rasterize = long_work
-sys.exit(main("render scene.x3d --output a.png".split()))
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 130
-    assert done.stderr == "jaxlight: interrupted\n"
-    assert not Path("a.png").exists()
-
-
 def test_ctrl_c_keeps_the_best_so_far_and_resume_ends_where_the_whole_fit_does(run, target: Path) -> None:
     words = ["fit", "scene.x3d", str(target), *FREE, *START, "--output"]
     code = f"""
@@ -494,9 +476,3 @@ sys.exit(main({[*words, "parts"]!r}))
     assert [line["event"] for line in ends if line["event"] != "step"] == ["begin", "end", "resume", "end"]
     result = run(*words, "parts", "--resume", "--seed", 1)
     assert result.status == 2 and "belongs to another fit" in result.err and result.err.count("\n") == 1
-
-
-def test_a_reader_that_goes_away_is_no_traceback(run) -> None:
-    command = f"{sys.executable} -m jaxlight info scene.x3d | true"
-    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60)
-    assert "Traceback" not in done.stderr and "BrokenPipe" not in done.stderr

@@ -27,6 +27,10 @@ BAD: dict[str, tuple[list[str], str]] = {
     "a scale of squares": (["--loss-scale", "3"], "--loss-scale: squares have none; leave it out"),
     "steps in words": (["--max-steps", "abc"], "--max-steps: expected a whole number, got 'abc'"),
     "a tolerance in words": (["--rtol", "abc"], "--rtol: expected a number, got 'abc'"),
+    "a start twice": (
+        ["--start", "Material[body].shininess=0.1", "Material[body].shininess=0.2"],
+        "--start: Material[body].shininess is given twice",
+    ),
     "a scene that is none": ([], "bad.x3d:5: "),
 }
 

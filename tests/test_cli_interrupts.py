@@ -87,3 +87,30 @@ def test_the_library_leaves_interrupts_alone() -> None:
     code += "assert signal.getsignal(signal.SIGINT) is before"
     code = "import signal; before = signal.getsignal(signal.SIGINT); " + code
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
+def test_ctrl_c_ends_with_130_and_one_line() -> None:
+    code = """
+import os, signal, sys, time
+import jaxlight
+from jaxlight.cli import main
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of a shell start with it ignored
+
+def long_work(*args, **options):
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(10)
+
+jaxlight.rasterize = long_work
+sys.exit(main("render scene.x3d --output a.png".split()))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 130
+    assert done.stderr == "jaxlight: interrupted\n"
+    assert not Path("a.png").exists()
+
+
+def test_a_reader_that_goes_away_is_no_traceback() -> None:
+    command = f"{sys.executable} -m jaxlight info scene.x3d | true"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60)
+    assert "Traceback" not in done.stderr and "BrokenPipe" not in done.stderr

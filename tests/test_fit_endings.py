@@ -49,9 +49,16 @@ def test_fits_of_a_cone_to_noisy_pictures_end_where_no_step_leads_down() -> None
             assert np.all(off < 4), off
 
 
-@pytest.mark.parametrize(("names", "said"), [(("a", "a"), "views[1].name: 'a'"), (("1", ""), "views[0].name: '1'")])
-def test_views_of_one_name_are_refused(names: tuple[str, str], said: str) -> None:
-    with precision("float32") as dtype, pytest.raises(ValueError, match=re.escape(f"{said} is named twice")):
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("a", "a"), "views[1].name: 'a' is named twice"),
+        (("1", ""), "views[0].name: '1' is named twice"),
+        (("a", 3), "views[1].name: expected text, got 3"),
+    ],
+)
+def test_names_of_views_that_do_not_tell_them_apart_are_refused(names: tuple[Any, Any], said: str) -> None:
+    with precision("float32") as dtype, pytest.raises(ValueError, match=re.escape(said)):
         fit(start(dtype), [view_of(name=name) for name in names], FREE)
 
 

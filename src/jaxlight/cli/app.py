@@ -92,6 +92,8 @@ def _help(words: list[str]) -> int:
 
 def _parse(words: list[str]) -> Any:
     """The command with its arguments. tyro explains mistakes in boxes; here they become one line."""
+    if words and words[0] not in COMMANDS and not words[0].startswith("-"):
+        raise ValueError(f"{words[0]!r:.60} is no command; expected one of {', '.join(COMMANDS)} (see jaxlight --help)")
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):

@@ -11,7 +11,7 @@ import tyro
 from .files import existing, spare
 from .fit_job import FitJob, outputs
 from .options import ScenePath
-from .problem import CommandLine, FitProblem, FitSettings, Source, ViewProblem, blamed_on
+from .problem import CommandLine, FitProblem, FitSettings, Numbers, Source, ViewProblem, blamed_on
 from .start_values import parse_assignment
 
 
@@ -101,8 +101,13 @@ class Fit:
             )
             for row, picture in enumerate(self.targets)
         )
+        start: dict[str, Numbers] = {}
         with blamed_on(CommandLine(), "start"):
-            start = dict(parse_assignment(text) for text in self.start)
+            for text in self.start:
+                path, numbers = parse_assignment(text)
+                if path in start:
+                    raise ValueError(f"{path} is given twice")
+                start[path] = numbers
         settings = vars(self.settings)
         return FitProblem(**settings, scene=self.scene, views=views, free=self.free, start=start, output=self.output)
 

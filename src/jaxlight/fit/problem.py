@@ -163,6 +163,9 @@ def _weighs(weight: Any) -> bool:
 
 def _check_names(names: Sequence[str]) -> None:
     """Each view is called by another name, those without one by their number."""
+    for row, name in enumerate(names):
+        if not isinstance(name, str):
+            raise ValueError(f"views[{row}].name: expected text, got {name!r:.60}")
     called = [name or str(row) for row, name in enumerate(names)]
     for row, name in enumerate(called):
         if name in called[:row]:
