@@ -375,6 +375,21 @@ def test_residuals_that_are_not_linear_are_not_settled(kind: str) -> None:
         assert float(loss) == pytest.approx(float(jax.jit(normal.loss)(made, values)), rel=1e-12)
 
 
+def test_sensor_limits_are_computed_with_only_where_a_view_has_some() -> None:
+    with precision("float64") as dtype:
+        samples, picture = sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE)
+
+        def made(**limits: float) -> Problem:
+            return make_problem(scene(dtype), [View(samples, picture), View(samples, picture, **limits)], FEW)[0]
+
+        without, beyond = made(dark=-np.inf, saturated=np.inf), made(saturated=100.0)
+        ((plain,), (limited,)) = without.views, beyond.views
+        assert plain.saturated is None and plain.dark is None and limited.dark is None
+        np.testing.assert_array_equal(limited.saturated, [np.inf, 100.0])
+        sums = [jax.jit(normal.normal_equations)(one, one.parameters.start) for one in (without, beyond)]
+    jax.tree.map(lambda own, other: np.testing.assert_allclose(own, other, rtol=1e-12, atol=1e-12), *sums)
+
+
 @pytest.mark.parametrize(
     ("free", "together"),
     [

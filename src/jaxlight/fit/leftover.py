@@ -39,8 +39,9 @@ def leftover(problem: Problem, values: Float[Array, " parameters"]) -> Leftover:
 
     def of_view(view: ViewData) -> Leftover:
         residual = view_residual(problem, world, view)
-        beyond = (view.target >= view.saturated) | (view.target <= view.dark)
-        said = (view.root_weight > 0) & ~(beyond & (residual == 0))
+        limits = [False if view.saturated is None else view.target >= view.saturated]
+        limits.append(False if view.dark is None else view.target <= view.dark)
+        said = (view.root_weight > 0) & ~((limits[0] | limits[1]) & (residual == 0))
         weight = reweight(*problem.rho, residual)
         heard = jnp.ones_like(residual) if weight is None else weight
         slopes = _slopes(*problem.rho, residual)

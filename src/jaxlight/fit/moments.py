@@ -41,6 +41,17 @@ class Moments(NamedTuple):
         return jax.tree.map(jnp.add, self, other)
 
 
+_QUICK = 8
+"""Matrices are multiplied quickest where their rows are a multiple of this, if they are not much more for it."""
+
+
+def rows_of_products(columns: Columns) -> int:
+    """How many rows products are quickest of: the directions, the residuals, and some of zeros."""
+    rows = columns.count + 1
+    more = -rows % _QUICK
+    return rows + more if more < _QUICK / 2 else rows
+
+
 def zero_products(columns: Columns, dtype: Any) -> Products:
     """The products of no sample."""
     shared, apart, products = len(columns.shared), len(columns.apart), columns.count + 1
@@ -61,10 +72,10 @@ def products_of(
     rows: Float[Array, "3 rows samples"],
 ) -> Products:
     """The products of some samples, all of one material if materials are told apart, from their derivatives, with the
-    residuals as the last row."""
+    residuals as one row more, and maybe rows of zeros."""
     weight = reweight(*rho, residual)
     heard = rows if weight is None else rows * weight[:, None]
-    product = jnp.einsum("cip,cjp->cij", heard, rows, precision="highest")
+    product = jnp.einsum("cip,cjp->cij", heard, rows, precision="highest")[:, : columns.count + 1, : columns.count + 1]
     loss, shared = half_losses(*rho, residual), product[:, :-1]
     if not columns.apart:
         return Products(loss, shared, zero_products(columns, product.dtype).apart)

@@ -23,7 +23,16 @@ from ..lighting.totals import add_terms, added_up
 from ..raster.samples import LANES
 from .columns import Columns
 from .curvature import DenseCurvature, NormalEquations
-from .moments import Moments, Products, add_products, moments_of, products_of, zero_moments, zero_products
+from .moments import (
+    Moments,
+    Products,
+    add_products,
+    moments_of,
+    products_of,
+    rows_of_products,
+    zero_moments,
+    zero_products,
+)
 from .parameters import World
 from .pixels import pixel_derivatives
 from .problem import Problem, scene_of_view
@@ -190,7 +199,7 @@ def _moments(problem: Problem, values: Array, columns: Columns, share: Share | N
             return add_terms(
                 carry, products_of(problem.rho, columns, *pixel_derivatives(problem, view, values, columns))
             )
-        derivatives = derivatives_by_tile(problem, view, values, columns)
+        derivatives = derivatives_by_tile(problem, view, values, columns, rows_of_products(columns))
 
         def of_tile(carry: Any, tile: Tile) -> Any:
             return add_products(carry, columns, products_of(problem.rho, columns, *derivatives(tile)), tile.material)

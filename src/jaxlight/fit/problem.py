@@ -133,6 +133,7 @@ def make_problem(
         for label, number in zip(field.labels, field.numbers.tolist(), strict=True):
             labels[number] = labels[number] or label
     count = sum(int(np.count_nonzero(np.asarray(one.root_weight))) * (3 // one.root_weight.shape[0]) for one in data)
+    data = _without_limits_that_none_has(data)
     stacks = _stack(data)
     problem = Problem(
         world=world,
@@ -148,7 +149,7 @@ def make_problem(
         loss_kind=loss,
         settles=loss == "squares"
         and not parameters.blocks
-        and all(bool(np.isinf(one.saturated)) and bool(np.isinf(one.dark)) for one in data),
+        and all(one.saturated is None and one.dark is None for one in data),
     )
     noise_known = all(view.noise is not None for view in each)
     weighted = any(view.noise is not None and _weighs(view.weight) for view in each)
@@ -261,6 +262,14 @@ def _take_lights(lights: Any, rows: Array, in_scope: Any) -> Any:
     # Names stay on the host side of a fit; here they would only tell equal programs apart.
     count = rows.shape[0]
     return dataclasses.replace(lights, **changes, names=("",) * count, on=Flags(np.ones(count)), in_scope=in_scope)
+
+
+def _without_limits_that_none_has(views: list[ViewData]) -> list[ViewData]:
+    """The views without `saturated` or `dark` where these are infinite in all of them."""
+    for limit in ("saturated", "dark"):
+        if all(np.isinf(getattr(view, limit)) for view in views):
+            views = [dataclasses.replace(view, **{limit: None}) for view in views]
+    return views
 
 
 def _stack(views: list[ViewData]) -> tuple[ViewData, ...]:

@@ -19,16 +19,18 @@ def weighted_difference(
     color: Float[Array, "3 points"],
     target: Float[Array, "3 points"],
     root_weight: Float[Array, "channels points"],
-    dark: Array,
-    saturated: Array,
+    dark: Array | None,
+    saturated: Array | None,
 ) -> Float[Array, "3 points"]:
     """Square root of the weight x (color - target); beyond the sensor's range only the wrong side counts.
 
     A saturated target is a lower limit, a dark one an upper limit (censored observations).
     """
     difference = color - target
-    difference = jnp.where(target >= saturated, jnp.minimum(difference, 0), difference)
-    difference = jnp.where(target <= dark, jnp.maximum(difference, 0), difference)
+    if saturated is not None:
+        difference = jnp.where(target >= saturated, jnp.minimum(difference, 0), difference)
+    if dark is not None:
+        difference = jnp.where(target <= dark, jnp.maximum(difference, 0), difference)
     return difference * root_weight
 
 

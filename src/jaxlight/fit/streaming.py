@@ -183,8 +183,8 @@ def _residual(
     background: Array | None,
     target: Array,
     root_weight: Array,
-    dark: Array,
-    saturated: Array,
+    dark: Array | None,
+    saturated: Array | None,
 ) -> Float[Array, "3 samples"]:
     rgb = exposure * composited(color.rgb, color.alpha, background)
     return weighted_difference(rgb, target, root_weight, dark, saturated)

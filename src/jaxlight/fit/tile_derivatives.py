@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple, cast
 
 import equinox as eqx
@@ -149,10 +148,10 @@ class Changes(NamedTuple):
 
 
 def derivatives_by_tile(
-    problem: Problem, view: ViewData, values: Float[Array, " parameters"], columns: Columns
+    problem: Problem, view: ViewData, values: Float[Array, " parameters"], columns: Columns, rows: int | None = None
 ) -> Callable[[Tile], tuple[Array, Array]]:
-    """A function of a tile: its residuals [3, samples], and the rows [3, directions + 1, samples] of their derivatives,
-    see `columns`, with the residuals as the last.
+    """A function of a tile: its residuals [3, samples], and the rows [3, rows, samples] of their derivatives, see
+    `columns`, then the residuals, then zeros where more `rows` are asked for (default: directions + 1).
 
     The scene is linearised once a view, the tiles once for all groups of directions that need the same.
     """
@@ -162,24 +161,28 @@ def derivatives_by_tile(
     every = {need: _changes(problem, view, values, columns, need, places) for need, places in needs.items()}
     whole = Need(view.plan, None)
     inputs = every[whole].inputs if whole in every else inputs_of(problem.at(values), view, view.plan)
+    zeros = 0 if rows is None else rows - columns.count - 1
 
     def of_tile(tile: Tile) -> tuple[Array, Array]:
-        stage = Stage(tile.index >= 0)
         linear = {need: _color_and_push(tile, moved) for need, moved in every.items() if need.by_light is None}
         # Maybe only lights are differentiated, some of them or one by one.
         color = linear[whole][0] if whole in linear else tile.color(inputs, view.plan)
         change = _residual_change(tile, inputs.exposure, color)
-        rows: dict[int, Array] = {}
-        for need, moved in every.items():
-            if need in linear:
-                push = linear[need][1]
-                own = [_rows(stage, tile, moved, group, push, change) for group in moved.groups]
-            else:
-                own = stage(partial(_rows_by_light, tile, moved, change), name="rows")
-            rows.update(zip((group.place for group in moved.groups), own, strict=True))
         residual = tile.residual_of(inputs.exposure, color)
-        in_order = [rows[place] for place in range(len(columns.groups))]
-        return residual, jnp.concatenate([*in_order, residual[:, None]], axis=1)
+
+        def all_rows() -> Array:
+            found: dict[int, Array] = {}
+            for need, moved in every.items():
+                if need in linear:
+                    own = [_rows(tile, moved, group, linear[need][1], change) for group in moved.groups]
+                else:
+                    own = _rows_by_light(tile, moved, change)
+                found.update(zip((group.place for group in moved.groups), own, strict=True))
+            last = [residual[:, None], jnp.zeros((3, zeros, tile.size), residual.dtype)]
+            return jnp.concatenate([*(found[place] for place in range(len(columns.groups))), *last], axis=1)
+
+        # In one stage: each row is written once, to its place.
+        return residual, Stage(tile.index >= 0)(all_rows, name="rows")
 
     return of_tile
 
@@ -249,7 +252,6 @@ def _residual_change(tile: Tile, exposure: Array, color: Color) -> ResidualChang
 
 
 def _rows(
-    stage: Stage,
     tile: Tile,
     moved: Changes,
     group: GroupChanges,
@@ -260,9 +262,7 @@ def _rows(
     if not any(jax.tree.leaves(group.which)):  # lights that this view does not show
         return jnp.zeros((3, group.directions, tile.size), moved.inputs.exposure.dtype)
     push_own = of_some(push, moved.moving, group.which)
-    return stage(
-        lambda: jax.vmap(lambda own: change(own.exposure, push_own(own)), out_axes=1)(group.changes), name="rows"
-    )
+    return jax.vmap(lambda own: change(own.exposure, push_own(own)), out_axes=1)(group.changes)
 
 
 def _rows_by_light(tile: Tile, moved: Changes, change: ResidualChange) -> list[Float[Array, "3 directions samples"]]:

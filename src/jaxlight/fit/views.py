@@ -69,8 +69,9 @@ class ViewData(eqx.Module):
     target: Float[Array, "3 points"]
     root_weight: Float[Array, "channels points"]
     """Square root of the weights; 0 for padding, masked and unseen points. One channel, or one a colour."""
-    saturated: Float[Array, ""]
-    dark: Float[Array, ""]
+    saturated: Float[Array, ""] | None
+    """None: no view has such a limit."""
+    dark: Float[Array, ""] | None
     row: Int[Array, ""]
     """Which view this is: row in `World.exposure`."""
     lights: tuple[Int[Array, " lights"] | None, ...]
