@@ -15,7 +15,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jaxtyping import Array
 
-from .changes import is_zero, merged, moves, with_change
+from .changes import is_zero, merged, moves, with_change, without_zeros
 from .linear_stage import linear_stage
 from .own_sums import spread
 from .pruned import pruned
@@ -72,20 +72,26 @@ def _each_jvp(how: How, primals: Any, tangents: Any) -> Any:
     results = each(how, stage, operands, derived)
     if not moves(changes):
         return results, jax.tree.map(jnp.zeros_like, results)
-    return results, change_along(how, stage, operands, derived, results, *directions_of(operands, changes))
+    directions = directions_of(operands, changes, inlined=how.forward)
+    return results, change_along(how, stage, operands, derived, results, *directions)
 
 
-def directions_of(operands: Any, changes: Any) -> tuple[list[int], list[Array]]:
-    """Which of the operands' planes move, and how."""
+def directions_of(operands: Any, changes: Any, *, inlined: bool = False) -> tuple[list[int], list[Any]]:
+    """Which of the operands' planes move, and how.
+
+    `inlined`: the directions of planes that are not stored are no planes either, but those of what they follow from.
+    """
     pairs = list(zip(_planes(operands), _planes(changes), strict=True))
     moving = [number for number, (_, change) in enumerate(pairs) if moves(change)]
+    if inlined:
+        return moving, [without_zeros(pairs[n][1]) for n in moving]
     # Of planes that are not stored, too: derivatives by the array that one lies in would compute the stage anew for
     # every part of that.
     return moving, [with_change(stored, pairs[n][:1], pairs[n][1:])[1] for n in moving]
 
 
 def change_along(
-    how: How, stage: Boundary, operands: Any, derived: Any, results: Any, moving: list[int], directions: list[Array]
+    how: How, stage: Boundary, operands: Any, derived: Any, results: Any, moving: list[int], directions: list[Any]
 ) -> Any:
     """The change of the results by those planes of the operands that move, see `directions_of`, behind a boundary.
 
@@ -98,7 +104,7 @@ def change_along(
 
 
 def _change(
-    how: How, stage: Boundary, operands: Any, derived: Any, results: Any, moving: list[int], directions: list[Array]
+    how: How, stage: Boundary, operands: Any, derived: Any, results: Any, moving: list[int], directions: list[Any]
 ) -> Any:
     inside = how.shared_forms
     if how.forward and inside is not None:
@@ -108,10 +114,13 @@ def _change(
     shape: tuple[int, ...] = np.broadcast_shapes(*shapes)
     is_wide = [position in how.wide for position, own in enumerate(operands) for _ in jax.tree.leaves(stored(own))]
 
-    def widened(number: int, plane: Array) -> Array:
+    def widened(number: int, plane: Any) -> Any:
         return spread(plane, shape) if is_wide[number] else plane
 
-    def change(form: int, known: tuple[Any, Any, Any], directions: list[Array]) -> Any:
+    def change(form: int, known: tuple[Any, Any, Any], directions: list[Any]) -> Any:
+        if how.forward:
+            own = [_planes(known[0])[number] for number in moving]
+            directions = [with_change(stored, pair[:1], pair[1:])[1] for pair in zip(own, directions, strict=True)]
         operands, derived, results = stored(known)
         planes, tree = jax.tree.flatten(operands)
         shared = () if inside is None else (inside[form](results, *tree.unflatten(planes), *derived),)
