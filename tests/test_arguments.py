@@ -164,7 +164,7 @@ OTHERS: list[tuple[Callable[[Scene, View, Fit], Any], str]] = [
     (lambda s, v, r: Camera.look_at(np.full(3, 1j), (0, 0, 0)), r"look_at: eye: expected \[3\] numbers, got array"),
     (
         lambda s, v, r: jax.jit(lambda angle: nodes.Background(sky_angle=angle).sky_angle)(np.ones(1)),
-        "Background.sky_angle: expected numbers >= 0, got JitTracer",
+        "Background.sky_angle: expected numbers, got traced ones; call it outside of jax.jit",
     ),
     (lambda s, v, r: nodes.Switch(which_choice=0.9), "which_choice: expected a whole number, got 0.9"),
 ]

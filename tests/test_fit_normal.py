@@ -252,21 +252,21 @@ def test_in_forward_mode_numbers_of_lights_move_as_numbers_one_light_at_a_time()
         samples = sphere_samples(SIZE, dtype=dtype, tile=256)
         made, _ = make_problem(scene(dtype), [View(samples, sphere_picture(SIZE))], ["PointLight[*].intensity"])
         program = jax.make_jaxpr(normal.normal_equations)(made, made.parameters.start)
-    moved = _moved_by_stages(program.jaxpr)
+    moved = _moved_by_stages(program.jaxpr, "weights")
     lights, directions, of_light, rows, lanes = 2, 1, 1, 256 // 64, 64
     assert (lights, directions, of_light, 1, 1) in moved
     assert not {shape for shape in moved if shape[-3:] in [(of_light, 1, lanes), (of_light, rows, lanes)]}
     assert max(shape[0] * shape[1] for shape in moved) == lights * directions
 
 
-def _moved_by_stages(jaxpr: Any) -> list[tuple[int, ...]]:
-    """The shapes of what moves in the stages that derivatives are taken of."""
+def _moved_by_stages(jaxpr: Any, name: str) -> list[tuple[int, ...]]:
+    """The shapes of what moves in the stages of this name that derivatives are taken of."""
     shapes = []
     for equation in jaxpr.eqns:
-        if equation.primitive.name == "linear_stage":
+        if equation.primitive.name == "linear_stage" and f"stage.{name}." in str(equation.source_info.name_stack):
             shapes += [operand.aval.shape for operand in equation.invars[1 + equation.params["known"] :]]
         for inner in jaxprs_in_params(equation.params):
-            shapes += _moved_by_stages(inner)
+            shapes += _moved_by_stages(inner, name)
     return shapes
 
 

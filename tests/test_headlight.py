@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jaxlight import Camera, Scene, nodes, rasterize, shade
+from jaxlight import Camera, SampleBuffer, Scene, nodes, rasterize, shade
 
 BALL = nodes.Shape(
     appearance=nodes.Appearance(material=nodes.Material(diffuse_color=(0.5, 0.25, 1.0), ambient_intensity=1.0)),
@@ -43,6 +43,17 @@ def test_there_is_none_with_lights_or_where_navigation_info_says_so(other: nodes
     scene = Scene.from_nodes([BALL, other])
     samples = rasterize(scene, Camera.look_at((0, 0, 5), (0, 0, 0)), 16, 16)
     np.testing.assert_array_equal(np.asarray(shade(scene, samples))[:, :3], 0)
+
+
+def test_without_a_camera_it_is_said_where_it_shines() -> None:
+    scene, point = Scene.from_nodes([BALL]), [[1.0, 0.0, 0.0]]
+    samples = SampleBuffer.create(position=point, normal=point, eye=(4, 0, 0))
+    with pytest.warns(UserWarning, match="no camera_to_world: the headlight .* along the world's -z"):
+        shade(scene, samples)
+    turned = SampleBuffer.create(
+        position=point, normal=point, eye=(4, 0, 0), camera_to_world=[[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    )
+    np.testing.assert_allclose(np.asarray(shade(scene, turned))[0, :3], [0.5, 0.25, 1.0], rtol=1e-6)
 
 
 def test_the_first_navigation_info_counts() -> None:

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .tracing import refuse_traced
+
 
 def array_of(values: Any, dtype: Any) -> Array:
     """`jnp.asarray(values, dtype)` of numbers that are known: NumPy rounds them, and for JAX a conversion would be a
@@ -47,6 +49,7 @@ def known_numbers(where: str, value: Any, allowed: str = "real numbers", *, inst
         if array.dtype.kind not in "biuf":
             raise TypeError
     except (TypeError, ValueError, OverflowError):
+        refuse_traced(where, value)
         raise ValueError(f"{where}: expected {allowed}, got {' '.join(repr(value).split()):.60}") from None
     return array
 

@@ -104,13 +104,15 @@ def choose(
             chosen.append(Chosen(field.path, label, field.leaf, row, component, element, field.leaf.range))
     for path in exposures:
         for row in _exposure_rows(path, view_names):
-            name = f"View[{view_names[row] or row}].exposure"
+            name = _exposure_path(view_names, row)
             chosen.append(Chosen(name, name, None, row, 0, row, paths.POSITIVE))
     return chosen, textures
 
 
-def canonical(scene: Scene, path: str) -> str:
+def canonical(scene: Scene, view_names: Sequence[str], path: str) -> str:
     """A path as `labels` has it: `Material[body].shininess` for `Material[0].shininess`; others as they are."""
+    if path.startswith("View["):
+        return _canonical_exposure(view_names, path)
     try:
         ((leaf, mask),) = paths.select(scene, path)
     except ValueError:
@@ -129,9 +131,21 @@ def canonical(scene: Scene, path: str) -> str:
     return meant[0].labels(scene)[inside[0]] if len(inside) == 1 else path
 
 
+def _canonical_exposure(view_names: Sequence[str], path: str) -> str:
+    try:
+        rows = _exposure_rows(path, view_names)
+    except ValueError:
+        return path
+    return _exposure_path(view_names, rows[0]) if len(rows) == 1 else path
+
+
+def _exposure_path(view_names: Sequence[str], row: int) -> str:
+    return f"View[{view_names[row] or row}].exposure"
+
+
 def _exposure_rows(path: str, view_names: Sequence[str]) -> list[int]:
     match = re.fullmatch(r"View\[(.*)\]\.exposure", path)
-    known = [f"View[{name or row}].exposure" for row, name in enumerate(view_names)]
+    known = [_exposure_path(view_names, row) for row in range(len(view_names))]
     rows = []
     if match:
         which = match[1]

@@ -92,7 +92,7 @@ class Fit:
         Raises:
             ValueError: the field was not free.
         """
-        path = canonical(self.scene, path)
+        path = canonical(self.scene, self.description.view_names, path)
         for field in self.description.fields:
             if field.path == path:
                 return self.values[field.numbers].reshape(-1 if len(field.numbers) > 1 else ())

@@ -67,6 +67,8 @@ def free_parameters(
     for place, request in enumerate(requests):
         chosen, textures = choose(catalogue, request.where, view_names, blocks=blocks and not request.tied)
         whole += [(request, leaf) for leaf in textures]
+        if request.tied:
+            chosen = _as_named(catalogue, request, chosen, view_names)
         if chosen:
             _check_options(request, chosen)
             _add_numbers(numbers, catalogue, request, chosen, place)
@@ -215,6 +217,14 @@ def _add_numbers(numbers: _Numbers, catalogue: Catalogue, request: Free, chosen:
         value = catalogue.value(one)
         bounds = _bounds(request, one, component, value)
         numbers.add(one, tie, value, bounds, _prior(request, one, component))
+
+
+def _as_named(catalogue: Catalogue, request: Free, chosen: list[Chosen], view_names: Sequence[str]) -> list[Chosen]:
+    """What a request means, the fields in the order in which it names them."""
+    named = [request.where] if isinstance(request.where, str) or callable(request.where) else list(request.where)
+    each = [one.path for path in named for one in choose(catalogue, path, view_names, blocks=False)[0]]
+    place = {path: number for number, path in reversed(list(enumerate(each)))}
+    return sorted(chosen, key=lambda one: place[one.path])
 
 
 def _check_options(request: Free, chosen: list[Chosen]) -> None:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from ..arrays import array_of
 from ..lighting import LightingOptions, make_plan
 from ..lighting.checks import check_samples
+from ..raster.samples import SampleBuffer
 from ..scene.checks import check_scene
 from ..scene.fields import positive
 from ..scene.flags import Flags
@@ -28,7 +29,7 @@ from .part import WHOLE, Part, choose_part
 from .residuals import LossKind
 from .sampling import TexelSampling, texel_sampling
 from .strides import UNLIMITED, Strides, stride_of
-from .views import View, ViewData, exposure_of, view_data
+from .views import View, ViewData, exposure_of, is_of_surfaces_alone, label_of, view_data
 
 
 class Problem(eqx.Module):
@@ -80,6 +81,8 @@ class Description(NamedTuple):
     """True when every view states its noise."""
     weighted: bool
     """True when a view that states it has weights besides, other than 0 and 1."""
+    alone: list[str]
+    """Views that are taken for pictures of their surfaces alone, some of which are transparent."""
     part: Part
     """What of the samples the fit begins with."""
     document: Any
@@ -103,7 +106,8 @@ def make_problem(
     check_scene(scene)
     each = list(views) if isinstance(views, Iterable) else [views]
     if not each or not all(isinstance(view, View) for view in each):
-        raise ValueError("views: expected a View or a list of at least one View")
+        came = next((f"a {type(one).__name__}" for one in each if not isinstance(one, View)), "none")
+        raise ValueError(f"views: expected a View or a list of at least one View, got {came}")
     if loss not in ("squares", "huber", "cauchy"):
         raise ValueError(f"loss: expected 'squares', 'huber' or 'cauchy', got {loss!r}")
     if loss != "squares":
@@ -114,13 +118,13 @@ def make_problem(
         )
     names = [view.name for view in each]
     _check_names(names)
-    dtype = _float_type(scene)
+    dtype = _float_type(scene, each)
     _check_finite(scene)
     exposures = [exposure_of(view, row) for row, view in enumerate(each)]
     world = World(scene, array_of(exposures, dtype))
     parameters, fields = free_parameters(world, free, names, dtype)
     # The document is no number and would only make programs of equal scenes differ.
-    world = World(dataclasses.replace(scene, document=None), world.exposure)
+    world = World(_in_type(dataclasses.replace(scene, document=None), parameters, dtype), world.exposure)
     data = [_planned(world, parameters, view_data(scene, view, row, dtype), options) for row, view in enumerate(each)]
     for row, one in enumerate(data):
         if parameters.blocks and one.pixel is not None:
@@ -154,7 +158,8 @@ def make_problem(
     noise_known = all(view.noise is not None for view in each)
     weighted = any(view.noise is not None and _weighs(view.weight) for view in each)
     part = WHOLE if parameters.blocks else choose_part(data, scene.surfaces)
-    return problem, Description(fields, labels, names, count, noise_known, weighted, part, scene.document)
+    alone = [label_of(view, row) for row, view in enumerate(each) if is_of_surfaces_alone(scene, view)]
+    return problem, Description(fields, labels, names, count, noise_known, weighted, alone, part, scene.document)
 
 
 def _weighs(weight: Any) -> bool:
@@ -208,12 +213,24 @@ def _planned(world: World, parameters: Parameters, view: ViewData, options: Ligh
     """The view with what its lighting needs: no term with a free field is left out."""
     scene = scene_of_view(world, view)
     check_samples(scene, view.samples)
-    owners = {leaf.leaf for leaf in parameters.leaves if leaf.leaf is not None}
-    owners |= {Leaf("Texture", "image", block.texture) for block in parameters.blocks}
-    free = [leaf.get(scene) for leaf in owners if getattr(scene, leaf.attribute) is not None]
+    free = [leaf.get(scene) for leaf in _free_leaves(parameters) if getattr(scene, leaf.attribute) is not None]
     # Without their bounds views share compiled code; their samples stay where they are.
     plan = make_plan(scene, view.samples, options, free=free)._replace(within=None)
     return dataclasses.replace(view, plan=plan)
+
+
+def _free_leaves(parameters: Parameters) -> set[Leaf]:
+    """Of the scene."""
+    textures = {Leaf("Texture", "image", block.texture) for block in parameters.blocks}
+    return textures | {part.leaf for part in parameters.leaves if part.leaf is not None}
+
+
+def _in_type(scene: Scene, parameters: Parameters, dtype: Any) -> Scene:
+    """The scene whose free leaves are of the fit's type: in a narrower one steps would be rounded."""
+    for leaf in _free_leaves(parameters):
+        if leaf.get(scene).dtype != dtype:
+            scene = leaf.set(scene, array_of(leaf.get(scene), dtype))
+    return scene
 
 
 def _strides(scene: Scene, parameters: Parameters, fields: list[FreeField], views: list[View], dtype: Any) -> Strides:
@@ -283,9 +300,17 @@ def _stack(views: list[ViewData]) -> tuple[ViewData, ...]:
     )
 
 
-def _float_type(scene: Scene) -> Any:
+def _float_type(scene: Scene, views: list[View]) -> Any:
+    """That of the scene's numbers."""
     floats = [leaf for leaf in jax.tree.leaves(scene) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-    return jnp.result_type(*floats) if floats else jnp.result_type(float)
+    dtype = jnp.result_type(*floats) if floats else jnp.result_type(float)
+    if dtype.itemsize < 4:
+        raise ValueError(f"scene: expected numbers of float32 or float64, got {dtype}")
+    for row, view in enumerate(views):
+        own = view.samples.position_planes.dtype if isinstance(view.samples, SampleBuffer) else dtype
+        if jnp.promote_types(own, dtype) != dtype:
+            raise ValueError(f"{label_of(view, row)}.samples: expected {dtype} as the scene has, got {own}")
+    return dtype
 
 
 def _check_finite(scene: Scene) -> None:

@@ -264,16 +264,18 @@ def _why_unknown(description: Description, left: Leftover, fitted: float) -> str
 
 
 def _remarks(problem: Problem, description: Description, loss: float, fitted: float, off: float) -> list[str]:
-    lost = []
+    said = [
+        f"{label} has no `background`: it is taken for a picture of its surfaces alone, though some are transparent"
+        for label in description.alone
+    ]
     if off > FAR:
-        lost.append(
+        said.append(
             f"the values are {off:.2g} standard errors from the best, in what priors tell and no picture does: "
             f"{problem.parameters.start.dtype} does not resolve it beside pictures as precise as these"
         )
     if not description.noise_known:
         stated = "priors are weighed as if the noise of a picture were 1: state the views' `noise`"
-        return [*lost, stated] if problem.parameters.has_priors else []
-    said = lost
+        return [*said, stated] if problem.parameters.has_priors else said
     if description.weighted:
         said.append("a point of weight w is taken for one whose noise is noise / sqrt(w): weights change the errors")
     freedom = float(problem.count) - fitted

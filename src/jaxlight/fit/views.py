@@ -93,7 +93,7 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
     Raises:
         ValueError: a shape, a value that is not finite, a light that does not exist; says which view and field.
     """
-    label = f"View[{view.name or row}]"
+    label = label_of(view, row)
     samples = view.samples
     if not isinstance(samples, SampleBuffer):
         raise ValueError(f"{label}.samples: expected a SampleBuffer, got {type(samples).__name__}")
@@ -125,12 +125,11 @@ def _background(view: View, layout: _Layout) -> Float[np.ndarray, "points 3"] | 
     if view.background is None:
         return None
     where = f"{layout.label}.background"
-    refuse_levels(where, view.background)
-    background = _numbers(where, view.background)
+    background = _colors(where, view.background)
     if background.shape == (3,):
         background = np.broadcast_to(background, (layout.points, 3))
     else:
-        background = layout.points_of("background", view.background)
+        background = layout.points_of("background", background)
     if not np.all(np.isfinite(background)):
         raise ValueError(f"{where}: every number must be finite")
     return background
@@ -143,8 +142,7 @@ def _seen_and_heard(
     label = layout.label
     weight = _weights(view, layout, _mask(view, layout))
     used = weight > 0
-    refuse_levels(f"{label}.target", view.target)
-    target = layout.points_of("target", view.target)
+    target = layout.points_of("target", _colors(f"{label}.target", view.target))
     bad = np.any(used & ~np.isfinite(target), axis=1)
     if np.any(bad):
         raise ValueError(
@@ -220,11 +218,38 @@ def _sensor_limits(view: View, label: str) -> tuple[float, float]:
 
 def exposure_of(view: View, row: int) -> float:
     """The exposure of a view, checked: a finite number > 0."""
-    return positive(f"View[{view.name or row}].exposure", view.exposure)
+    return positive(f"{label_of(view, row)}.exposure", view.exposure)
+
+
+def label_of(view: View, row: int) -> str:
+    """What messages and paths call a view."""
+    return f"View[{view.name or row}]"
+
+
+def is_of_surfaces_alone(scene: Scene, view: View) -> bool:
+    """Whether the view has no background, and surfaces through which one would be seen."""
+    return view.background is None and any(_is_transparent(scene, view, row) for row, _, _ in view.samples.runs)
+
+
+def _is_transparent(scene: Scene, view: View, row: int) -> bool:
+    surface = scene.surfaces[row]
+    if surface.texture >= 0 and scene.textures[surface.texture].image.shape[-1] in (2, 4):
+        return bool(np.any(np.asarray(scene.textures[surface.texture].image[..., -1]) < 1))
+    if surface.color_components == 4:
+        return bool(np.any(np.asarray(view.samples.color)[:, 3] < 1))
+    if scene.materials is None or surface.material < 0:
+        return False
+    return bool(np.asarray(scene.materials.transparency)[surface.material] > 0)
 
 
 def _numbers(where: str, value: Any) -> np.ndarray:
     return known_numbers(where, value, "numbers", instead=GIVE_MASK).astype(np.float64)
+
+
+def _colors(where: str, value: Any) -> np.ndarray:
+    numbers = known_numbers(where, value, "numbers", instead=GIVE_MASK)
+    refuse_levels(where, numbers)
+    return numbers.astype(np.float64)
 
 
 def _light_rows(label: str, scene: Scene, lights: Any) -> dict[str, np.ndarray]:

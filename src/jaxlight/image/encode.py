@@ -68,5 +68,6 @@ def srgb_to_linear(srgb: Any) -> Array:
 def _checked(image: Any, transfer: Any) -> Array:
     if not isinstance(transfer, str) or transfer not in ("none", "srgb"):
         raise ValueError(f"transfer: expected 'none' or 'srgb', got {transfer!r:.60}")
-    refuse_levels("image", image)
-    return real_array("image", image)
+    numbers = real_array("image", image)
+    refuse_levels("image", image if hasattr(image, "dtype") else numbers)
+    return numbers

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from weakref import WeakValueDictionary
 
 import jax
@@ -23,6 +24,9 @@ def check_samples(scene: Scene, samples: SampleBuffer) -> None:
     if not isinstance(samples, SampleBuffer):
         raise ValueError(f"samples: expected a SampleBuffer, got {type(samples).__name__}")
     _check_shapes(samples)
+    if scene.directional is not None and scene.directional.headlight and samples.camera_to_world is None:
+        said = "samples: no camera_to_world: the headlight of a scene without lights shines along the world's -z"
+        warnings.warn(said, stacklevel=3)
     for row, _, _ in samples.runs:
         if row >= len(scene.surfaces):
             raise ValueError(f"samples: surface {row} asked for, but the scene has {len(scene.surfaces)} surfaces")

@@ -110,7 +110,7 @@ class SampleBuffer(eqx.Module):
             texel_index, texel_weight: [N, 4], texels (row * width + column) of the surface's texture and their weights.
             pixel: [N], row * width + column, row 0 at the top; needs `width` and `height`.
             coverage: [N], share of the pixel that a sample stands for (kept in float32 at least); default: all of it.
-            camera_to_world: [3, 3], rotation from camera axes to the world.
+            camera_to_world: [3, 3], rotation from camera axes to the world, along whose -z the headlight shines.
             pixel_to_world: [3, 3], (u, v, 1) in pixels to the direction of its ray in world axes.
             tile: samples a tile, a power of two (default: chosen from N).
             by_place: store neighbours in space together, whatever the order of the rows. Worth it for many lights with
@@ -168,8 +168,8 @@ class SampleBuffer(eqx.Module):
             "pixel_to_world": pixel_to_world,
         }
         for name, numbers in stored.items():
-            if numbers is not None and np.any(np.abs(numbers) > largest):
-                most = np.abs(numbers).max()
+            most = 0.0 if numbers is None else float(np.abs(numbers).max(initial=0.0))
+            if most > largest:
                 raise ValueError(f"SampleBuffer: {name}: {most:g} is larger than its type holds, {largest:g}")
         layout = _layout(surface, tile, position if by_place else None)
 

@@ -345,7 +345,7 @@ def _by_function(scene: Scene, function: Callable[[Scene], Any]) -> list[tuple[L
         if not isinstance(marker, _Marker):
             raise ValueError(
                 f"a function that chooses fields must return leaves of the scene or parts of them "
-                f"(`lambda s: s.materials.diffuse_color[0]`), got {marker!r:.80}"
+                f"(`lambda s: s.materials.diffuse_color[0]`), got a {type(marker).__name__}"
             )
         mask = np.zeros(shapes[marker.leaf], dtype=bool)
         mask.reshape(-1)[marker.numbers] = True

@@ -1,0 +1,134 @@
+"""What fits are given: types and levels of numbers, transparent surfaces, and ties in the order of their names."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+
+from fit_scenes import key_light, material, precision, sphere_picture, sphere_samples, sphere_scene
+from jaxlight import Free, SampleBuffer, View, encode, fit, nodes
+from jaxlight.fit.problem import make_problem
+
+SIZE = 16
+FREE = "Material[body].diffuse_color"
+
+
+def view_of(dtype: Any, **changes: Any) -> View:
+    given = {"target": sphere_picture(SIZE), **changes}
+    return View(sphere_samples(SIZE, dtype=dtype), **given)
+
+
+LEVELS = np.round(255 * np.clip(sphere_picture(SIZE), 0, 1)).astype(np.uint8)
+
+
+class Wrapped:
+    """As tensors of other libraries are: NumPy makes an array of it."""
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return LEVELS
+
+
+@pytest.mark.parametrize(
+    ("field", "given", "got"),
+    [
+        ("target", Image.fromarray(LEVELS), "uint8; divide by 255"),
+        ("target", LEVELS.tolist(), "int64 above 1"),
+        ("target", list(LEVELS), "uint8; divide by 255"),
+        ("target", Wrapped(), "uint8; divide by 255"),
+        ("background", (255, 255, 255), "int64 above 1"),
+    ],
+)
+def test_levels_are_refused_in_whatever_they_come(field: str, given: Any, got: str) -> None:
+    with precision("float32") as dtype, pytest.raises(ValueError, match=rf"View\[0\].{field}: got {got}"):
+        make_problem(sphere_scene(dtype=dtype), view_of(dtype, **{field: given}), FREE)
+
+
+def test_encode_refuses_a_list_of_levels() -> None:
+    with pytest.raises(ValueError, match="image: got int32 above 1"):
+        encode([0, 128, 255])
+    np.testing.assert_array_equal(encode([0, 1]), encode(np.array([0.0, 1.0])))
+
+
+@pytest.mark.parametrize("dtype", ["bfloat16", "float16"])
+def test_scenes_of_half_precision_are_refused(dtype: str) -> None:
+    with pytest.raises(ValueError, match=f"scene: expected numbers of float32 or float64, got {dtype}"):
+        fit(sphere_scene(dtype=dtype), view_of(jnp.float32), FREE)
+
+
+def test_samples_of_a_wider_type_than_the_scene_are_refused() -> None:
+    with precision("float64"):
+        samples = sphere_samples(SIZE, dtype="float64")
+        view = View(samples, sphere_picture(SIZE), name="wide")
+        with pytest.raises(ValueError, match=r"View\[wide\].samples: expected float32 as the scene has, got float64"):
+            fit(sphere_scene(dtype="float32"), view, FREE)
+
+
+def test_a_field_of_a_narrower_type_is_fitted_in_the_type_of_the_scene() -> None:
+    with precision("float64") as dtype:
+        scene = sphere_scene(body=material(diffuse_color=(0.5, 0.5, 0.5)), dtype=dtype)
+        narrow = eqx.tree_at(lambda s: s.point.location, scene, jnp.asarray([[1.5, 2.0, 3.5]], jnp.float32))
+        result = fit(narrow, view_of(dtype), ["PointLight[key].location", FREE])
+        assert result.converged, result.message
+        assert result.scene.point.location.dtype == dtype
+        truth = np.asarray(key_light().location)
+        np.testing.assert_allclose(result.value("PointLight[key].location"), truth, rtol=1e-9)
+
+
+def test_a_view_without_background_says_that_it_does_not_look_through_surfaces() -> None:
+    with precision("float32") as dtype:
+        said = []
+        for transparency, background in ((0.0, None), (0.3, (0, 0, 0)), (0.3, None)):
+            scene = sphere_scene(body=material(transparency=transparency), dtype=dtype)
+            result = fit(scene, view_of(dtype, background=background, name="front"), FREE)
+            said.append([line for line in result.uncertainty.messages() if "`background`" in line])
+    assert said[:2] == [[], []]
+    assert len(said[2]) == 1 and said[2][0].startswith("View[front] has no `background`") and said[2][0] in str(result)
+
+
+def test_ties_begin_at_what_is_named_first() -> None:
+    sun = nodes.DirectionalLight(name="sun", direction=(0, 0, -1), intensity=0.1, global_=True)
+    with precision("float32") as dtype:
+        scene = sphere_scene(key_light(intensity=0.8), sun, dtype=dtype)
+        paths = ["PointLight[key].intensity", "DirectionalLight[sun].intensity"]
+        for named in (paths, paths[::-1]):
+            problem, description = make_problem(scene, view_of(dtype), Free(named, tied=True))
+            assert description.labels == named[:1]
+            first = 0.8 if named is paths else 0.1
+            np.testing.assert_allclose(problem.parameters.start, [first], rtol=1e-6)
+
+
+def test_the_exposure_of_a_named_view_is_found_by_its_number() -> None:
+    with precision("float32") as dtype:
+        views = [view_of(dtype), view_of(dtype, name="w", target=sphere_picture(SIZE) / 2)]
+        result = fit(sphere_scene(dtype=dtype), views, "View[1].exposure")
+        assert result.labels == ("View[w].exposure",)
+        assert float(result.value("View[1].exposure")) == float(result.value("View[w].exposure"))
+        assert float(result.value("View[1].exposure")) == pytest.approx(0.5, rel=1e-4)
+        with pytest.raises(ValueError, match=re.escape("'View[2].exposure' was not free")):
+            result.value("View[2].exposure")
+
+
+def test_what_is_no_view_is_named() -> None:
+    with precision("float32") as dtype:
+        for given, got in (
+            ([], "none"),
+            ([view_of(dtype), 3], "a int"),
+            (sphere_samples(SIZE, dtype=dtype), "a SampleBuffer"),
+        ):
+            with pytest.raises(ValueError, match=f"views: expected a View or a list of at least one View, got {got}"):
+                fit(sphere_scene(dtype=dtype), given, FREE)
+
+
+def test_what_is_made_inside_a_transformation_is_told_to_be_made_outside() -> None:
+    def made(point: Any) -> Any:
+        return SampleBuffer.create(position=point, normal=point, eye=(0, 0, 4)).position_planes
+
+    with pytest.raises(ValueError, match=r"SampleBuffer: position: .*traced ones; call it outside of jax.jit"):
+        jax.jit(made)(jnp.ones((1, 3)))
