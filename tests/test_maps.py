@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import gc
+import io
+import os
+import re
+import struct
 import warnings
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -280,7 +285,7 @@ def test_surfaces_of_files_are_whole_numbers(tmp_path: Path) -> None:
         ("grey.jpg", r"grey\.jpg: expected .*, got a JPEG of mode L"),
         ("grey.gif", r"grey\.gif: expected .*, got a GIF of mode"),
         ("floats.npy", r"surface: expected .* integers of shape \[3, 4\], got float64 \[3, 4\]"),
-        ("nowhere.npy", r"surface: .*nowhere\.npy: No such file"),
+        ("nowhere.npy", r"surface: .*nowhere\.npy: no such file"),
         ("nowhere.png", "no such file"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -327,7 +332,7 @@ HOLE[1, 2] = np.nan
         (NORMAL, {"depth": 1.0, "normal_frame": "view"}, "normal_frame: expected 'camera' or 'world', got 'view'"),
         (NORMAL, {"depth": 1.0, "normal_encoding": "rgb"}, "normal_encoding: expected 'vector' or 'color'"),
         (NORMAL, {"depth": 1.0, "surface": np.zeros((3, 3), int)}, "surface: expected"),
-        (NORMAL, {"depth": "nowhere.npy"}, "depth: nowhere.npy: No such file"),
+        (NORMAL, {"depth": "nowhere.npy"}, "depth: nowhere.npy: no such file"),
         ("nowhere.png", {"depth": 1.0}, "no such file"),
         ("words", {"depth": 1.0}, "no such file"),
         (object(), {"depth": 1.0}, "normal: expected numbers"),
@@ -378,9 +383,111 @@ def test_an_array_file_that_cannot_be_read_is_closed(tmp_path: Path) -> None:
     assert not [warning for warning in said if "broken.npz" in str(warning.message)]
 
 
+def npy(kind: str, shape: str, data: bytes = b"") -> bytes:
+    """A file of this header."""
+    header = f"{{'descr': {kind}, 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + data
+
+
+def npz(data: bytes, method: int = zipfile.ZIP_DEFLATED) -> bytearray:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", method) as archive:
+        archive.writestr("a.npy", data)
+    return bytearray(file.getvalue())
+
+
+def of_method(data: bytes, method: int, flags: int = 0) -> bytes:
+    """An archive that says that its member is packed in another way."""
+    archive = npz(data)
+    for start in (8, archive.index(b"PK\x01\x02") + 10):
+        archive[start] = method
+        archive[start - 2] |= flags
+    return bytes(archive)
+
+
+WHOLE = npy("'<f8'", "(3, 4)", np.full((3, 4), 4.0).tobytes())
+LZMA = npz(WHOLE, zipfile.ZIP_LZMA)
+DAMAGED = {
+    "more entries than memory has": npy("'<f8'", "(1000000000000,)", b"x" * 64),
+    "a size that no integer type holds": npy("'<f8'", f"({2**70},)", b"x" * 64),
+    "a truth value as size": npy("'<f8'", "(True,)", b"x" * 8),
+    "a negative size": npy("'<f8'", "(-3, -4)", b"x" * 96),
+    "a name as size": npy("'<f8'", "('a',)"),
+    "numbers missing": WHOLE[:-1],
+    "names": npy("'<U2'", "(3, 4)", b"\0" * 96),
+    "an unknown type": npy("'zz'", "(3, 4)", b"x" * 96),
+    "a header cut inside of brackets": b"\x93NUMPY\x01\x00\x10\x00(((((((((((((((\n",
+    "a header cut off": WHOLE[:20],
+    "brackets in brackets": npy("'<f8'", "(" * 200 + ")" * 200),
+    "a version that is none": b"\x93NUMPY\x09\x00" + b"\0" * 20,
+    "a damaged member": bytes(LZMA[:50] + b"\xff" * 10 + LZMA[60:]),
+    "an encrypted member": of_method(WHOLE, zipfile.ZIP_DEFLATED, flags=1),
+    "an unknown method": of_method(WHOLE, 99),
+    "a member that is cut off": bytes(npz(WHOLE[:-1])),
+    "no member": bytes(npz(b"")[-22:-12]) + bytes(12),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGED)
+@pytest.mark.parametrize("what", ["depth", "surface"])
+def test_damaged_array_files_are_errors_that_name_the_map_and_the_file(tmp_path: Path, damage: str, what: str) -> None:
+    file = tmp_path / "a.npy"
+    file.write_bytes(DAMAGED[damage])
+    with pytest.raises(ValueError, match=rf"^samples_from_maps: {what}: {re.escape(str(file))}: \w"):
+        samples_from_maps(NORMAL, CAMERA, **{"depth": 1.0, what: file})
+
+
+@pytest.mark.parametrize("data", [WHOLE, bytes(npz(WHOLE)), bytes(LZMA)])
+def test_what_an_array_file_is_says_its_content(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "a.npy").write_bytes(data)
+    found = samples_from_maps(NORMAL, CAMERA, depth=tmp_path / "a.npy")
+    assert_same(found, samples_from_maps(NORMAL, CAMERA, depth=4.0))
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32, np.float16, np.uint16, np.int64, ">f8"])
+@pytest.mark.parametrize("suffix", ["npy", "npz"])
+def test_array_files_of_all_types_are_read(tmp_path: Path, kind: Any, suffix: str) -> None:
+    depth = np.asfortranarray(np.arange(1, 13).reshape(3, 4).astype(kind))
+    file = tmp_path / f"a.{suffix}"
+    np.save(file, depth) if suffix == "npy" else np.savez_compressed(file, depth=depth, normal=NORMAL)
+    found = samples_from_maps(NORMAL if suffix == "npy" else file, CAMERA, depth=file)
+    assert_same(found, samples_from_maps(NORMAL, CAMERA, depth=depth.astype(float)))
+
+
+@pytest.mark.parametrize("name", ["pipe.npy", "folder.npz"])
+def test_what_is_no_file_is_refused_at_once(tmp_path: Path, name: str) -> None:
+    is_pipe = name == "pipe.npy"
+    os.mkfifo(tmp_path / name) if is_pipe else (tmp_path / name).mkdir()
+    message = "is a pipe or a device; only files are read" if is_pipe else "is a folder"
+    for what in ("depth", "surface"):
+        with pytest.raises(ValueError, match=f"samples_from_maps: {what}: .*{name}: {message}"):
+            samples_from_maps(NORMAL, CAMERA, **{"depth": 1.0, what: tmp_path / name})
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        ("depth", r"expected shape \[3, 4\], got \[16384, 16384\]"),
+        ("mask", r"expected shape \[3, 4\], got \[16384, 16384\]"),
+        ("position", r"expected shape \[3, 4, 3\], got \[16384, 16384\]"),
+        ("color", r"expected shape \[3, 4, 3\], got \[16384, 16384\]"),
+        ("surface", r"expected a row of Scene.surfaces or integers of shape \[3, 4\], got shape \[16384, 16384\]"),
+    ],
+)
+def test_a_map_of_another_size_is_refused_before_it_is_read(tmp_path: Path, what: str, message: str) -> None:
+    (tmp_path / "bomb.npz").write_bytes(npz(npy("'|u1'", "(16384, 16384)")))
+    geometry = {} if what == "position" else {"depth": 1.0}
+    with pytest.raises(ValueError, match=rf"samples_from_maps: {what}: .*bomb\.npz: {message}"):
+        samples_from_maps(NORMAL, CAMERA, **{**geometry, what: tmp_path / "bomb.npz"})
+
+
 def test_an_archive_that_would_unpack_to_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    np.savez_compressed(tmp_path / "bomb.npz", normal=np.zeros((1000, 1000, 3)))
-    monkeypatch.setattr("jaxlight.raster.map_values.MAX_BYTES", 4 << 20)
-    assert (tmp_path / "bomb.npz").stat().st_size < 1 << 20
-    with pytest.raises(ValueError, match="holds 22 MiB; at most 4 are read"):
+    np.savez_compressed(tmp_path / "a.npz", normal=np.ones((10, 10, 3), np.float16))
+    monkeypatch.setattr("jaxlight.raster.array_files.MAX_NUMBERS", 300)
+    assert samples_from_maps(tmp_path / "a.npz", CAMERA, depth=1.0).count == 100
+    monkeypatch.setattr("jaxlight.raster.array_files.MAX_NUMBERS", 299)
+    with pytest.raises(ValueError, match=r"a\.npz: shape \[10, 10, 3\] has 300 numbers; at most 299 are read"):
+        samples_from_maps(tmp_path / "a.npz", CAMERA, depth=1.0)
+    (tmp_path / "bomb.npz").write_bytes(npz(npy("'|u1'", "(32768, 8192, 3)")))
+    with pytest.raises(ValueError, match="has 805306368 numbers; at most 299 are read"):
         samples_from_maps(tmp_path / "bomb.npz", CAMERA, depth=1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,7 +13,7 @@ import numpy as np
 from ..formats.levels import is_chosen
 from ..scene.fields import boolean, float_type, positive, vector3
 from .camera import Camera, checked_rotation
-from .map_values import fitted, map_values, surface_numbers
+from .map_values import check_shape, fitted, map_values, surface_numbers
 from .pattern import morton
 from .samples import SampleBuffer
 
@@ -109,9 +110,7 @@ def samples_from_maps(
     dtype = float_type("samples_from_maps: dtype", dtype)
     normal_y_down = boolean("samples_from_maps: normal_y_down", normal_y_down)
     texel_per_pixel = boolean("samples_from_maps: texel_per_pixel", texel_per_pixel)
-    vectors, encoding = map_values("normal", normal)
-    if vectors.ndim != 3 or vectors.shape[2] not in (3, 4) or vectors.size == 0:
-        raise ValueError(f"samples_from_maps: normal: expected [height, width, 3], got {list(vectors.shape)}")
+    vectors, encoding = map_values("normal", normal, _check_normal)
     height, width = vectors.shape[:2]
     empty = outside = np.zeros((height, width), bool)
     vectors, given = vectors[..., :3], vectors
@@ -129,7 +128,7 @@ def samples_from_maps(
     if mask is None:
         seen = finite & np.any(vectors != 0, axis=2) & ~empty
     else:
-        seen = is_chosen(fitted("mask", map_values("mask", mask)[0], height, width, None))
+        seen = is_chosen(_map("mask", mask, height, width, None))
         _refuse_pixels(seen & ~finite, "pixels inside the mask have a normal or a position that is not finite")
     _refuse_pixels(seen & outside, "pixels have a normal that is no colour in [0, 1] (divide levels by the largest)")
     if not np.any(seen):
@@ -182,10 +181,10 @@ def _points(
     """World positions [height, width, 3]."""
     origin = np.asarray(view.position if isinstance(view, Camera) else view.center)
     if position is not None:
-        points = fitted("position", map_values("position", position)[0], height, width, 3)
+        points = _map("position", position, height, width, 3)
         return points @ view.rotation.T + origin if position_frame == "camera" else points
-    away = map_values("depth", depth)[0]
-    away = np.full((height, width), float(away)) if away.ndim == 0 else fitted("depth", away, height, width, None)
+    away = _map("depth", depth, height, width, None, or_one=True)
+    away = np.full((height, width), float(away)) if away.ndim == 0 else away
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     if isinstance(view, Orthographic):
         x, y = (u - width / 2) * view.pixel_size, (height / 2 - v) * view.pixel_size
@@ -215,7 +214,7 @@ def _far_eye(view: Orthographic, points: np.ndarray, dtype: Any) -> np.ndarray:
 def _surface(surface: Any, height: int, width: int, rows: np.ndarray, columns: np.ndarray) -> Any:
     if np.ndim(surface) == 0 and not isinstance(surface, (str, Path)):
         return surface
-    numbers = surface_numbers(surface)
+    numbers = surface_numbers(surface, functools.partial(_check_surface, height=height, width=width))
     if numbers.ndim == 0:
         return numbers
     if numbers.shape != (height, width) or numbers.dtype.kind not in "iu":
@@ -227,9 +226,30 @@ def _surface(surface: Any, height: int, width: int, rows: np.ndarray, columns: n
 
 
 def _color(color: Any, height: int, width: int) -> np.ndarray:
-    colors, _ = map_values("color", color)
-    channels = 4 if colors.ndim == 3 and colors.shape[2] == 4 else 3
-    return fitted("color", colors, height, width, channels)
+    return map_values("color", color, functools.partial(check_shape, height=height, width=width, channels=3))[0]
+
+
+def _map(what: str, value: Any, height: int, width: int, channels: int | None, *, or_one: bool = False) -> np.ndarray:
+    """A map of this size, [height, width] without `channels`; or one number, if that will do."""
+
+    def fits(shape: tuple[int, ...]) -> None:
+        if shape or not or_one:
+            check_shape(shape, height, width, channels)
+
+    numbers = map_values(what, value, fits)[0]
+    return numbers if or_one and numbers.ndim == 0 else fitted(what, numbers, channels)
+
+
+def _check_normal(shape: tuple[int, ...]) -> None:
+    if len(shape) != 3 or shape[2] not in (3, 4) or 0 in shape:
+        raise ValueError(f"expected [height, width, 3], got {list(shape)}")
+
+
+def _check_surface(shape: tuple[int, ...], height: int, width: int) -> None:
+    if shape not in ((), (height, width)):
+        raise ValueError(
+            f"expected a row of Scene.surfaces or integers of shape {[height, width]}, got shape {list(shape)}"
+        )
 
 
 def _check_options(
