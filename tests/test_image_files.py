@@ -7,6 +7,7 @@ import errno
 import os
 import re
 import struct
+import warnings
 import zlib
 from pathlib import Path
 from typing import Any
@@ -226,6 +227,30 @@ def test_of_a_damaged_exr_the_message_names_no_other_file(tmp_path: Path, left: 
     with pytest.raises(SceneFileError, match=r"a\.exr: (not an image that can be read|damaged image)") as told:
         read_image(tmp_path / "a.exr")
     assert str(told.value).count("/") == str(tmp_path / "a.exr").count("/")
+
+
+def test_bytes_of_a_damaged_exr_that_are_no_text_are_the_error(tmp_path: Path) -> None:
+    pytest.importorskip("OpenImageIO")
+    write_image(tmp_path / "a.exr", np.ones((2, 3, 3)))
+    (tmp_path / "a.exr").write_bytes((tmp_path / "a.exr").read_bytes().replace(b"chlist\0", b"chlis\xff\0"))
+    with pytest.raises(SceneFileError, match=r"a\.exr: .*image.*chlis") as caught:
+        read_image(tmp_path / "a.exr")
+    assert "codec" not in str(caught.value)
+
+
+def test_signalling_nan_of_an_exr_is_nan_without_a_word(tmp_path: Path) -> None:
+    library = pytest.importorskip("OpenImageIO")
+    spec = library.ImageSpec(3, 2, 3, "float")
+    spec.attribute("compression", "none")
+    file = library.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert file.open(str(tmp_path / "a.exr"), spec) and file.write_image(np.full((2, 3, 3), 0.375, np.float32))
+    file.close()
+    data = (tmp_path / "a.exr").read_bytes()
+    assert data.count(struct.pack("<f", 0.375)) == 18
+    (tmp_path / "a.exr").write_bytes(data.replace(struct.pack("<f", 0.375), struct.pack("<I", 0x7F800001)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.isnan(read_image(tmp_path / "a.exr")).all()
 
 
 @pytest.mark.parametrize("bits", [8, 16])

@@ -15,7 +15,14 @@ from typing import Any
 
 import numpy as np
 from PIL import Image, ImageOps
-from PIL.TiffImagePlugin import BITSPERSAMPLE, EXTRASAMPLES, PHOTOMETRIC_INTERPRETATION, TiffImageFile
+from PIL.TiffImagePlugin import (
+    BITSPERSAMPLE,
+    EXTRASAMPLES,
+    PHOTOMETRIC_INTERPRETATION,
+    PLANAR_CONFIGURATION,
+    SAMPLESPERPIXEL,
+    TiffImageFile,
+)
 
 from ..arrays import known_numbers
 from ..tracing import refuse_traced
@@ -80,6 +87,7 @@ def decode_image(data: bytes, path: Path) -> np.ndarray:
 
     def read(image: Image.Image) -> np.ndarray:
         if isinstance(image, TiffImageFile) and image.mode in _CUT_MODES and _bits(image) > 8:
+            _check_pixels(image, path)
             pixels = _read_with_openimageio(data, path, f"{_bits(image)}-bit colour TIFF", ".tif")
             return _divided_by_alpha(pixels) if _is_multiplied_by_alpha(image) else pixels
         if data.startswith(_PNG) and image.mode == "L" and isinstance(image.info.get("transparency"), int):
@@ -153,6 +161,19 @@ def pixels_of(image: Image.Image, path: Path) -> np.ndarray:
 def _check_pixels(image: Image.Image, path: Path) -> None:
     if image.width * image.height > MAX_PIXELS:
         raise SceneFileError(path, None, f"{image.width} x {image.height} pixels; at most {MAX_PIXELS} are read")
+    if isinstance(image, TiffImageFile) and image.tile:
+        _check_covered(image, path)
+
+
+def _check_covered(image: TiffImageFile, path: Path) -> None:
+    """Whether strips or tiles cover a TIFF that is not loaded yet; Pillow leaves black what none does."""
+    tiles: list[Any] = image.tile
+    is_planar = image.tag_v2.get(PLANAR_CONFIGURATION) == 2 and tiles[0][0] != "libtiff"
+    planes = image.tag_v2.get(SAMPLESPERPIXEL, 1) if is_planar else 1
+    areas = [(right - left) * (bottom - top) for _, (left, top, right, bottom), *_ in tiles]
+    if sum(areas) < image.width * image.height * planes:
+        message = f"damaged image: its {len(areas)} strips or tiles do not cover {image.width} x {image.height} pixels"
+        raise SceneFileError(path, None, message)
 
 
 def _bits(image: TiffImageFile) -> int:
@@ -262,7 +283,7 @@ def _read_with_openimageio(data: bytes, path: Path, what: str, suffix: str) -> n
         as_stored.attribute("oiio:UnassociatedAlpha", 1)  # no multiplication of colour by alpha
         file = library.ImageInput.open(str(copy), as_stored)
         if file is None:
-            said = _first_line(library.geterror()).replace(str(copy), path.name)
+            said = _said_by(library).replace(str(copy), path.name)
             raise SceneFileError(path, None, f"not an image that can be read: {said}")
         try:
             upright = _TURNED.get(file.spec().get_int_attribute("Orientation", 1), _TURNED[1])
@@ -282,8 +303,10 @@ def _pixels_of_file(library: Any, file: Any, path: Path) -> np.ndarray:
         raise SceneFileError(path, None, f"{width} x {height} pixels; at most {MAX_PIXELS} are read")
     held = file.read_image(0, 0, first, last, library.FLOAT)
     if held is None:
-        raise SceneFileError(path, None, f"damaged image: {_first_line(file.geterror())}")
-    held = np.atleast_3d(np.asarray(held, dtype=np.float64))[:, :, [channel - first for channel in channels]]
+        raise SceneFileError(path, None, f"damaged image: {_said_by(file)}")
+    with np.errstate(invalid="ignore"):  # NaN of other kinds than NumPy's
+        held = np.asarray(held, dtype=np.float64)
+    held = np.atleast_3d(held)[:, :, [channel - first for channel in channels]]
     top, left = spec.y - spec.full_y, spec.x - spec.full_x
     if (top, left, *held.shape[:2]) == (0, 0, height, width):
         return held
@@ -294,8 +317,13 @@ def _pixels_of_file(library: Any, file: Any, path: Path) -> np.ndarray:
     return whole
 
 
-def _first_line(message: str) -> str:
-    return message.strip().partition("\n")[0]
+def _said_by(source: Any) -> str:
+    """The first line of what OpenImageIO, or one of its files, says; a damaged file can bring bytes of its own in."""
+    try:
+        said = source.geterror()
+    except UnicodeDecodeError as error:
+        said = error.object.decode("utf-8", errors="replace")
+    return said.strip().partition("\n")[0]
 
 
 def _color_channels(names: list[str]) -> list[int]:
@@ -316,13 +344,13 @@ def _write_with_openimageio(draft: Path, pixels: np.ndarray, kind: str, path: Pa
     height, width, components = pixels.shape
     file = library.ImageOutput.create(str(draft))
     if file is None:
-        raise ValueError(f"{path}: {library.geterror().strip()}")
+        raise ValueError(f"{path}: {_said_by(library)}")
     spec = library.ImageSpec(width, height, components, kind)
     spec.attribute("oiio:UnassociatedAlpha", 1)
     if components == 2:
         spec.channelnames = ("Y", "A")
     if not (file.open(str(draft), spec) and file.write_image(pixels)):
-        raise ValueError(f"{path}: {file.geterror().strip()}")
+        raise ValueError(f"{path}: {_said_by(file)}")
     file.close()
 
 
