@@ -330,3 +330,31 @@ def test_a_texture_of_16_bits_that_did_not_change_keeps_them(tmp_path: Path) -> 
     )
     save(load(source / "a.obj"), out / "a.x3d")
     np.testing.assert_array_equal(read_image(out / "a.png")[:, :, 0], grey / 65535)
+
+
+@pytest.mark.parametrize("fate", ["replaced", "gone", "damaged", "written again"])
+@pytest.mark.parametrize("place", ["source/scene.x3d", "source/other.x3d", "elsewhere/scene.x3d"])
+@pytest.mark.parametrize("url", ["maps/wood.png", "wood.png"])
+def test_a_texture_is_saved_as_it_was_loaded_whatever_became_of_its_file(
+    tmp_path: Path, fate: str, place: str, url: str
+) -> None:
+    for name in ("source", "source/maps", "elsewhere"):
+        (tmp_path / name).mkdir()
+    path, file = tmp_path / "source" / "scene.x3d", tmp_path / "source" / url
+    path.write_text(x3d(TEXTURED.replace("maps/wood.png", url)))
+    Image.fromarray(np.arange(24, dtype=np.uint8).reshape(2, 4, 3)).save(file)
+    scene = load(path)
+    if fate == "gone":
+        file.unlink()
+    elif fate == "damaged":
+        file.write_bytes(b"no picture")
+    else:
+        os.utime(file, ns=(0, 0))
+        Image.open(file).copy().save(file) if fate == "written again" else Image.new("RGB", (4, 2), "red").save(file)
+    left = file.read_bytes() if file.exists() else None
+    save(scene, tmp_path / place)
+    assert np.array_equal(load(tmp_path / place).textures[0].image, scene.textures[0].image)
+    if left is not None:
+        assert file.read_bytes() == left
+    is_copy = (tmp_path / place).read_text() == x3d(TEXTURED.replace("maps/wood.png", url))
+    assert is_copy or fate != "written again"

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxlight import Scene, load, save
+from jaxlight import Scene, SceneFileError, load, save
 from jaxlight.scene import nodes as n
 from jaxlight.scene.nodes import nodes_equal
 from x3d_text import x3d
@@ -383,3 +383,28 @@ def test_characters_that_xml_cannot_hold_are_refused_in_other_fields(tmp_path: P
     ):
         save(Scene.from_nodes([view]), tmp_path / "scene.x3d")
     assert os.listdir(tmp_path) == []
+
+
+def test_a_file_that_somebody_changed_meanwhile_is_not_replaced(source: Path, tmp_path: Path) -> None:
+    scene = with_values(quietly(source), point__intensity=[0.25])
+    edited = source.read_text() + "<!-- mine -->"
+    source.write_text(edited)
+    linked = tmp_path / "linked"
+    linked.symlink_to(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    for path in (source, linked / source.name):
+        with pytest.raises(SceneFileError, match=r"source\.x3d: was changed since it was read.* save under another"):
+            save(scene, path)
+    assert source.read_text() == edited and sorted(tmp_path.iterdir()) == before
+    save(scene, tmp_path / "other.x3d")
+    assert quietly(tmp_path / "other.x3d").point.intensity == 0.25
+
+
+def test_a_file_is_replaced_again_where_only_save_changed_it_or_it_is_gone(source: Path) -> None:
+    scene = quietly(source)
+    for intensity in (0.25, 0.5):
+        save(with_values(scene, point__intensity=[intensity]), source)
+        assert quietly(source).point.intensity == intensity
+    source.unlink()
+    save(scene, source)
+    assert source.read_text() == x3d(SCENE)

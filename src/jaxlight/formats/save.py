@@ -25,7 +25,8 @@ def save(scene: Scene, path: str | Path) -> tuple[Path, ...]:
     A scene that was loaded from an X3D file is written into that file's text: only the attributes whose values changed
     are touched, and every other byte stays. A scene built in Python or loaded from a mesh is written anew. Numbers
     get the shortest digits that read back as the scene's own. A texture whose texels changed is written as a PNG beside
-    the file (or into the PixelTexture), rounded to 8 bits; texture files that did not change are copied along.
+    the file (or into the PixelTexture), rounded to 8 bits; texture files that did not change are copied along. One that
+    is gone, or holds another picture than was loaded, is written like a changed one.
 
     Args:
         scene: its leaves (materials, lights, fog, textures) say the values, its document where they belong.
@@ -36,7 +37,8 @@ def save(scene: Scene, path: str | Path) -> tuple[Path, ...]:
 
     Raises:
         ValueError: another suffix; a value out of its field's range; one node used several times (USE) whose rows now
-            differ; a change that no field of the file can hold; traced numbers.
+            differ; a change that no field of the file can hold; traced numbers; the file at `path` is the one that the
+            scene was read from, and was changed since (a SceneFileError).
         OSError: the folder of `path` does not exist, or the system refuses.
     """
     check_has_nodes("save: scene", scene)
@@ -48,7 +50,10 @@ def save(scene: Scene, path: str | Path) -> tuple[Path, ...]:
     changes = changed_nodes(scene)
     source = scene.document.source
     if isinstance(source, X3DSource):
-        plan = TexturePlan(path, {*source.texture_files.values(), *named_files(path, source.element_numbers)})
+        source.check_unchanged(path)
+        plan = TexturePlan(
+            path, {*(file.path for file in source.texture_files.values()), *named_files(path, source.element_numbers)}
+        )
         data = _edited_source(source, changes, plan)
     else:
         everything = all_nodes(scene.document.children)
@@ -57,6 +62,8 @@ def save(scene: Scene, path: str | Path) -> tuple[Path, ...]:
     plan.carry_out()
     with written_whole(path) as draft:
         draft.write_bytes(data)
+    if isinstance(source, X3DSource):
+        source.note_saved(path, data)
     return (path, *plan.files)
 
 

@@ -290,4 +290,8 @@ def texture_url(
         is_held = bool(node.url) and node.url[0].startswith("data:")
         return None if is_held else plan.written(new.image, node.url, node.name or "texture")
     origin = source.texture_files.get(node)
-    return plan.held(node.url) if origin is None else plan.copied(origin, ResourceFolder(source.path), node.url)
+    if origin is None:
+        return plan.held(node.url)
+    if not origin.is_as_read and not _holds(origin.path, new.image):
+        return plan.written(new.image, node.url, node.name or origin.path.stem)
+    return plan.copied(origin.path, ResourceFolder(source.path), node.url)

@@ -21,7 +21,7 @@ from .limits import MAX_NESTING
 from .notes import ReadNotes
 from .x3d_fields import X3DField, fields_of, meant_attribute, python_name, version_defaults
 from .x3d_groups import CHILD_HOLDERS, SIMPLIFIED, is_child_node, split_children
-from .x3d_source import X3DSource
+from .x3d_source import TextureFile, X3DSource
 from .x3d_textures import TextureReader
 from .x3d_values import SFBool, parse_floats
 from .xml_elements import Element, parse_xml
@@ -99,7 +99,7 @@ class _Reader:
         self.angle_unit = angle_unit
         self.notes = ReadNotes()
         self.element_numbers: dict[nodes.Node, int] = {}
-        self.texture_files: dict[nodes.Node, Path] = {}
+        self.texture_files: dict[nodes.Node, TextureFile] = {}
         self._textures = TextureReader(ResourceFolder(path))
         self._defined: dict[str, nodes.Node | None] = {}
         """By DEF name; None: a node that was skipped."""
@@ -280,7 +280,7 @@ class _Reader:
             raise self._error(element, f"{with_article(type(node).__name__)} cannot stand in <{parent.tag}>")
         return takes[0]
 
-    def _image(self, element: Element, urls: tuple[str, ...]) -> tuple[Any, Path | None]:
+    def _image(self, element: Element, urls: tuple[str, ...]) -> tuple[Any, TextureFile | None]:
         try:
             found = self._textures.first(urls)
         except ValueError as error:

@@ -15,6 +15,7 @@ from PIL import Image
 from .folder import ResourceFolder
 from .images import decode_image, pixels_of, read_image
 from .limits import MAX_PIXELS
+from .x3d_source import TextureFile
 
 _MOST_URLS = 100
 """Of the alternatives of one texture so many are looked for."""
@@ -27,8 +28,8 @@ class TextureImage(NamedTuple):
     """[height, width, components], row 0 at the bottom, in [0, 1]."""
     was_clamped: bool
     """True if there were numbers outside."""
-    file: Path | None
-    """Where it came from; None: it stood in the url."""
+    file: TextureFile | None
+    """Where it came from, as it was before it was read; None: it stood in the url."""
 
 
 class TextureReader:
@@ -51,7 +52,7 @@ class TextureReader:
         for url in distinct[:_MOST_URLS]:
             try:
                 return self._image(url)
-            except (ValueError, ImportError) as error:
+            except (OSError, ValueError, ImportError) as error:
                 reasons.append(str(error))
         raise ValueError(" / ".join(reasons))
 
@@ -74,13 +75,14 @@ class TextureReader:
         key = url if url.startswith("data:") else self.folder.find(url)
         if key not in self._read:
             self._take(0)
+            file = None if isinstance(key, str) else TextureFile.of(key)
             image = _fixed(np.flipud(_decode_data_url(key) if isinstance(key, str) else read_image(key)))
             self._take(image.shape[0] * image.shape[1])
             if not np.all(np.isfinite(image)):
                 raise ValueError(f"{url[:60]!r} holds numbers that are not finite")
             was_clamped = bool(image.min() < 0 or image.max() > 1)
             pixels = _fixed(np.clip(image, 0, 1)) if was_clamped else image
-            self._read[key] = TextureImage(pixels, was_clamped, key if isinstance(key, Path) else None)
+            self._read[key] = TextureImage(pixels, was_clamped, file)
         return self._read[key]
 
 
