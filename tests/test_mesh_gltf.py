@@ -317,6 +317,51 @@ def test_values_of_other_types_are_named(tmp_path: Path, glb: bytes, change: obj
         one_shape(tmp_path, rewritten(glb, change))
 
 
+@pytest.mark.parametrize("name", ["NORMAL", "TEXCOORD_0", "TEXCOORD_1", "COLOR_0"])
+@pytest.mark.parametrize("short", [False, True])
+def test_attributes_of_other_counts_than_positions_are_named(
+    tmp_path: Path, glb: bytes, name: str, short: bool
+) -> None:
+    def change(header: dict) -> None:
+        (primitive,) = header["meshes"][0]["primitives"]
+        own = primitive["attributes"]
+        kept = own["TEXCOORD_0" if name.startswith("TEX") else "POSITION"]
+        changed = kept if short else own["POSITION"]
+        header["accessors"].append({**header["accessors"][changed], "count": 3})
+        primitive["attributes"] = {"POSITION": own["POSITION"], name: kept}
+        primitive["attributes"][name if short else "POSITION"] = len(header["accessors"]) - 1
+        header["meshes"][0]["primitives"].insert(0, {"attributes": {}, "mode": 0})
+
+    counts = f"{3 if short else 4} entries of {name} for {4 if short else 3} of POSITION"
+    with pytest.raises(SceneFileError, match=f"a.glb: glTF mesh 0, primitive 1, has {counts}"):
+        one_shape(tmp_path, rewritten(glb, change))
+
+
+def test_what_has_no_material_has_that_of_an_empty_one(tmp_path: Path) -> None:
+    """glTF 2.0, 3.7.2.1."""
+    data = trimesh.Scene([trimesh.creation.box(), trimesh.creation.box()]).export(file_type="glb")
+
+    def change(header: dict) -> None:
+        header["materials"] = [{}]
+        header["meshes"][0]["primitives"][0]["material"] = 0
+        header["meshes"][1]["primitives"][0].pop("material", None)
+
+    (tmp_path / "a.glb").write_bytes(rewritten(data, change))
+    stated, assumed = shapes_of(tmp_path / "a.glb")
+    assert n.nodes_equal((stated.appearance,), (assumed.appearance,))
+    assert n.nodes_equal((assumed.appearance.material,), (material_from_gltf("", {}, see_through=False),))
+    assert assumed.geometry.solid is stated.geometry.solid is True
+
+
+def test_alpha_that_cuts_is_named(tmp_path: Path, glb: bytes) -> None:
+    def change(header: dict) -> None:
+        header["materials"] = [{"alphaMode": "MASK", "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 0.75]}}]
+
+    with pytest.warns(SceneFileWarning, match=r"fields not used: glTF alphaMode MASK \(read as BLEND\) x1"):
+        shape = one_shape(tmp_path, rewritten(glb, change))
+    assert shape.appearance.material.transparency == 0.25
+
+
 @pytest.mark.parametrize(
     ("factors", "message"),
     [

@@ -75,8 +75,11 @@ def check_header(path: Path, header: dict[str, Any], size: int, held: int, notes
     for row, accessor in enumerate(header.get("accessors", [])):
         _check_accessor(path, header, row, accessor)
     for row, mesh in enumerate(header.get("meshes", [])):
-        mesh["primitives"] = list(_with_triangles(mesh["primitives"], notes))
+        read = dict(_with_triangles(mesh["primitives"], notes))
+        mesh["primitives"] = list(read.values())
         _check_mesh(path, header, row, mesh, notes)
+        for number, primitive in read.items():
+            _check_triangles(path, header, f"glTF mesh {row}", number, primitive)
     # A primitive becomes a mesh with numbers of its own, whatever it shares with others.
     primitives = [primitive for mesh in header.get("meshes", []) for primitive in mesh["primitives"]]
     entries = sum(counts[accessor] for primitive in primitives for accessor in _used(primitive))
@@ -94,6 +97,8 @@ def check_header(path: Path, header: dict[str, Any], size: int, held: int, notes
     for row, material in enumerate(header.get("materials", [])):
         if material.get("alphaMode", "OPAQUE") not in ("OPAQUE", "MASK", "BLEND"):
             notes.simplified[f"glTF alphaMode {material.pop('alphaMode'):.40} (read as OPAQUE)"] += 1
+        if material.get("alphaMode") == "MASK":
+            notes.unused["glTF alphaMode MASK (read as BLEND)"] += 1
         _clamp_factors(f"glTF materials[{row}]", material, notes)
     for kind in ("animations", "skins", "cameras"):
         if header.get(kind):
@@ -150,16 +155,16 @@ def _check_accessor(path: Path, header: dict[str, Any], row: int, accessor: dict
         raise SceneFileError(path, None, f"{message} bufferView has {view['byteLength']}")
 
 
-def _with_triangles(primitives: list[dict[str, Any]], notes: ReadNotes) -> Iterator[dict[str, Any]]:
-    """The primitives that are read; notes get the others."""
-    for primitive in primitives:
+def _with_triangles(primitives: list[dict[str, Any]], notes: ReadNotes) -> Iterator[tuple[int, dict[str, Any]]]:
+    """The primitives that are read, and their numbers; notes get the others."""
+    for number, primitive in enumerate(primitives):
         mode = primitive.get("mode", _TRIANGLES)
         if mode not in (_TRIANGLES, _TRIANGLE_STRIP):
             notes.skipped[f"glTF {_OTHER_MODES.get(mode, f'mode {mode}')}"] += 1
         elif "POSITION" not in primitive["attributes"]:
             notes.skipped["glTF primitive without POSITION"] += 1
         else:
-            yield primitive
+            yield number, primitive
 
 
 def _check_mesh(path: Path, header: dict[str, Any], row: int, mesh: dict[str, Any], notes: ReadNotes) -> None:
@@ -171,20 +176,26 @@ def _check_mesh(path: Path, header: dict[str, Any], row: int, mesh: dict[str, An
         for accessor in used:
             if "sparse" in header["accessors"][accessor]:
                 raise SceneFileError(path, None, f"glTF accessor {accessor} is sparse; jaxlight reads dense ones")
-        _check_triangles(path, header, f"glTF mesh {row}", primitive)
     if any(mesh.get("weights", ())):
         notes.unused["glTF weights of morph targets (read as 0)"] += 1
 
 
-def _check_triangles(path: Path, header: dict[str, Any], owner: str, primitive: dict[str, Any]) -> None:
-    """Whether the accessors of a primitive are of the kinds that their use asks for, and triangles have all corners."""
-    for name, accessor in primitive["attributes"].items():
-        found, allowed = header["accessors"][accessor]["type"], _TYPES.get(name.partition("_")[0])
-        if allowed is not None and found not in allowed:
-            raise SceneFileError(path, None, f"{owner} has a {name} of {found}, expected {' or '.join(allowed)}")
+def _check_triangles(path: Path, header: dict[str, Any], owner: str, number: int, primitive: dict[str, Any]) -> None:
+    """Whether the accessors of a primitive are of the kinds that their use asks for, those of vertices of one size
+    (glTF 2.0, 3.7.2.1), and triangles have all corners."""
     corners = header["accessors"][primitive["attributes"]["POSITION"]]
-    if corners["count"] == 0:
+    if corners["type"] in _TYPES["POSITION"] and corners["count"] == 0:
         raise SceneFileError(path, None, f"{owner} has a POSITION without entries")
+    for name, row in primitive["attributes"].items():
+        accessor, allowed = header["accessors"][row], _TYPES.get(name.partition("_")[0])
+        if allowed is None:
+            continue
+        if accessor["type"] not in allowed:
+            message = f"{owner} has a {name} of {accessor['type']}, expected {' or '.join(allowed)}"
+            raise SceneFileError(path, None, message)
+        if accessor["count"] != corners["count"]:
+            message = f"{owner}, primitive {number}, has {accessor['count']} entries of {name} for {corners['count']}"
+            raise SceneFileError(path, None, f"{message} of POSITION")
     if "indices" in primitive:
         corners = header["accessors"][primitive["indices"]]
         if corners["type"] != "SCALAR":

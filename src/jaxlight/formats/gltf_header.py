@@ -1,7 +1,7 @@
 """The JSON header of a binary glTF file: what trimesh is to read of it, and the source of exact factors.
 
 trimesh rounds material colours to 8 bits and drops names that repeat, so materials are given their number as name. It
-cuts colours of vertices without a material to 8 bits, so these are given one. It reads neither samplers nor
+cuts colours of vertices without a material to 8 bits, so what has none is given one. It reads neither samplers nor
 KHR_texture_transform, and of texture coordinates only the first set.
 """
 
@@ -36,7 +36,7 @@ class GltfMaterial:
     repeat_s: bool = True
     repeat_t: bool = True
     is_stand_in: bool = False
-    """True for that of colours without a material."""
+    """True for that of primitives without a material."""
     image: str = ""
     """What the image of the texture is called, if it has one."""
     texture_transform: dict[str, Any] | None = None
@@ -140,7 +140,7 @@ def _simplified_materials(path: Path, header: dict[str, Any], notes: ReadNotes) 
         primitive
         for mesh in header.get("meshes", [])
         for primitive in mesh["primitives"]
-        if "material" not in primitive and "COLOR_0" in primitive["attributes"]
+        if "material" not in primitive
     ]
     if bare:
         row = len(materials)
@@ -148,6 +148,7 @@ def _simplified_materials(path: Path, header: dict[str, Any], notes: ReadNotes) 
         materials.append(GltfMaterial({}, is_stand_in=True))
         for primitive in bare:
             primitive["material"] = row
+        _leave_integers_out(header, row)
     return materials
 
 

@@ -87,7 +87,7 @@ def _colors(
     values = np.clip(values, 0.0, 1.0)
     if (material is not None and material.is_opaque) or np.all(values[:, 3:] == 1.0):
         values = values[:, :3]
-    if material is not None and not material.is_stand_in:
+    if material is not None:
         if np.all(values == 1.0):
             return None, on_faces
         values = material.painted(values)

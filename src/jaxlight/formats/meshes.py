@@ -120,7 +120,9 @@ class _MeshBuilder:
         """The appearance of a mesh that has colours, or that has none."""
         material = _material_of(mesh)
         described = self._gltf_material(mesh)
-        if material is None or self._is_stand_in(material) or (described is not None and described.is_stand_in):
+        if described is not None and described.is_stand_in:  # one of its own for each shape
+            return nodes.Appearance(material=material_from_gltf("", {}, see_through=False))
+        if material is None or self._is_stand_in(material):
             return nodes.Appearance(material=nodes.Material())
         hidden = described is not None and described.is_unlit and colored
         key = (id(material), hidden)
