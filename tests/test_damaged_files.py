@@ -14,6 +14,7 @@ from PIL import Image
 
 from counted_work import at_most_calls
 from jaxlight import SceneFileError, load
+from test_mesh_damage import ply
 from x3d_text import x3d
 
 SEED = 20_240_817
@@ -157,3 +158,22 @@ def test_files_made_to_hang_or_flood_do_not(tmp_path: Path, name: str) -> None:
             said = str(error)
     assert said or caught
     assert all(len(text) < 5000 for text in [said, *(str(warning.message) for warning in caught)])
+
+
+@pytest.mark.parametrize(
+    ("face", "message"),
+    [
+        ("3 0 1 5", "a.ply:17: an index is out of range: a face has the index 5, the file 5 vertices"),
+        ("3 0 1 -1", "a.ply:17: an index is out of range: a face has the index -1, the file 5 vertices"),
+        ("3 0 1 1.5", "a.ply:17: a face has the index 1.5, expected a whole number"),
+        ("3 0 1 nan", "a.ply:17: a face has the index nan, expected a whole number"),
+        ("2.5 0 1 2", "a.ply:17: a face has not all of its 1 properties"),
+        ("-1 0 1 2", "a.ply:17: a face has not all of its 1 properties"),
+    ],
+)
+def test_indices_of_an_ascii_ply_that_are_none_are_errors_with_line(tmp_path: Path, face: str, message: str) -> None:
+    (tmp_path / "a.ply").write_bytes(ply("ascii", [(0, 1, 2)] * 2) + f"{face}\n".encode())
+    text = (tmp_path / "a.ply").read_text().replace("element face 2", "element face 3")
+    (tmp_path / "a.ply").write_text(text)
+    with pytest.raises(SceneFileError, match=message):
+        load(tmp_path / "a.ply")

@@ -262,11 +262,34 @@ TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\nvn 0 0 1\
         ("f 1.5 2 3", "a.obj:9: a face has the corner '1.5'"),
         ("v 1 0\nv 0 1 0 4\nf 1 4 5", "a.obj:9: a v has 2 numbers, expected 3 or more"),
         ("vn 0 1 # z\nf 1 2 3", "a.obj:9: a vn has 2 numbers"),
+        ("v 1_0 0 0\nf 1 2 3", "a.obj:9: a v has '1_0 0 0', expected numbers"),
+        ("v \N{ARABIC-INDIC DIGIT ONE} 0 0\nf 1 2 3", "a.obj:9: a v has '\N{ARABIC-INDIC DIGIT ONE} 0 0', expected"),
+        ("v 1e999 0 0\nf 1 2 3\nf 1 2 4", "a.obj:9: a v has '1e999 0 0', expected finite numbers"),
+        ("vt nan 0\nf 1/1 2/2 3/5", "a.obj:9: a vt has 'nan 0', expected finite numbers"),
+        ("vn 0 0 -inf\nf 1//1 2//1 3//2", "a.obj:9: a vn has '0 0 -inf', expected finite numbers"),
     ],
 )
 def test_faces_that_do_not_fit_their_obj_are_errors_with_line(tmp_path: Path, faces: str, message: str) -> None:
     with pytest.raises(SceneFileError, match=message):
         obj_shapes(tmp_path, f"{TRIANGLE}{faces}\n")
+
+
+def test_numbers_of_an_obj_that_nothing_needs_may_be_infinite(tmp_path: Path) -> None:
+    unused = "v nan 0 0\nvt inf 0\nvt 0 0 nan\nvn nan 0 0\nf 1/6/1 2/6/1 3/6/1\nf 1/1/2 2/2 3/3\n"
+    with pytest.warns(SceneFileWarning, match="obj normals of faces, as not all have some"):
+        (shape,) = obj_shapes(tmp_path, TRIANGLE + unused)
+    assert len(triangles(shape.geometry)) == 2
+
+
+@pytest.mark.parametrize("group", ["off", "0", "1"])
+def test_smoothing_groups_are_named_where_faces_have_no_normals(tmp_path: Path, group: str) -> None:
+    bare = f"{TRIANGLE}s {group}\nf 1 2 3\nf 3 2 1\n"
+    with pytest.warns(SceneFileWarning, match=r"obj s \(smoothing groups\) of faces without normals, .* x2$"):
+        obj_shapes(tmp_path, bare)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        obj_shapes(tmp_path, f"{TRIANGLE}s {group}\nf 1//1 2//1 3//1\n")
+        obj_shapes(tmp_path, f"{TRIANGLE}f 1 2 3\n")
 
 
 # --- ply ------------------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from .errors import SceneFileError
-from .ply_header import PlyElement, read_ply_header
+from .ply_header import CORNERS, PlyElement, read_ply_header
 
 _STL_HEADER, _STL_TRIANGLE = 84, 50
 """Bytes of a binary stl."""
@@ -20,8 +20,8 @@ def checked_ply(path: Path, data: bytes) -> bytes:
     """A ply with the header that trimesh is to read.
 
     Raises:
-        SceneFileError: the header is damaged; an ascii ply has not the rows that it announces, or rows have not their
-            numbers.
+        SceneFileError: the header is damaged; an ascii ply has not the rows that it announces, rows have not their
+            numbers, or faces have indices that are not those of vertices.
     """
     header = read_ply_header(path, data)
     if header.is_ascii:
@@ -37,24 +37,48 @@ def _check_rows(path: Path, body: bytes, elements: list[PlyElement], line: int) 
         kinds = ", ".join(f"{element.count} {element.name}" for element in elements)
         raise SceneFileError(path, None, f"announces {announced} rows ({kinds}), but holds {len(rows)}: truncated?")
     whole = iter(rows)
+    vertices = next((element.count for element in elements if element.name == "vertex"), 0)
     for element in elements:
         lists = list(element.properties.values())
+        corners = _list_of_corners(element)
         for row in itertools.islice(whole, element.count):
             line += 1
-            if not _is_whole(row, lists):
+            entries = _entries(row, lists)
+            if entries is None:
                 message = f"a {element.name} has not all of its {len(lists)} properties: truncated?"
                 raise SceneFileError(path, line, message)
+            for index in entries[corners] if corners is not None else ():
+                if not index.is_integer():
+                    raise SceneFileError(path, line, f"a face has the index {index:g}, expected a whole number")
+                if not 0 <= index < vertices:
+                    message = (
+                        f"an index is out of range: a face has the index {index:.0f}, the file {vertices} vertices"
+                    )
+                    raise SceneFileError(path, line, message)
 
 
-def _is_whole(row: bytes, lists: list[bool]) -> bool:
-    """True if a row has a number for each property, and for each entry of those that are lists."""
+def _list_of_corners(element: PlyElement) -> int | None:
+    """Which property of a face has its corners, as trimesh takes it; None of other elements."""
+    names = list(element.properties)
+    if element.name != "face" or not names:
+        return None
+    return next((row for row, name in enumerate(names) if name in CORNERS), 0 if len(names) == 1 else None)
+
+
+def _entries(row: bytes, lists: list[bool]) -> list[list[float]] | None:
+    """The numbers of each property of a row, of a list its entries; None if they are not all there."""
     try:
-        values, needed = [float(word) for word in row.split()], 0
+        values, place, entries = [float(word) for word in row.split()], 0, []
         for is_list in lists:
-            needed += 1 + (int(values[needed]) if is_list else 0)
-        return needed <= len(values)
-    except (ValueError, IndexError, OverflowError):
-        return False
+            size = values[place] if is_list else 1.0
+            if not size.is_integer() or size < 0:
+                return None
+            place += is_list
+            entries.append(values[place : place + int(size)])
+            place += int(size)
+        return entries if place <= len(values) else None
+    except (ValueError, IndexError):
+        return None
 
 
 def checked_stl(path: Path, data: bytes) -> bytes:

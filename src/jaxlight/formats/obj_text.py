@@ -7,6 +7,7 @@ drops texture coordinates or normals of all of them where one face has none, and
 from __future__ import annotations
 
 import array
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +25,8 @@ _LISTS = ("v", "vt", "vn")
 """What the three indices of a corner point into."""
 _NEEDED = {"v": 3, "vt": 1, "vn": 3}
 """Numbers that an entry must have; a `vt` with one has 0 as its second."""
+_USED = {"v": 3, "vt": 2, "vn": 3}
+"""Of them, those of places and directions, which have to be finite."""
 _SKIPPED = ("l", "p", "curv", "curv2", "surf")
 """Statements that draw something else than flat faces."""
 _AFTER_LIBRARY = re.compile(r"(?<=\.mtl)[ \t]+", re.IGNORECASE)
@@ -31,6 +34,7 @@ _AFTER_LIBRARY = re.compile(r"(?<=\.mtl)[ \t]+", re.IGNORECASE)
 LIBRARY = "//"
 """By which all of them are asked for at once: the name of no file."""
 _FILLED = "obj face without vt beside some with, now at vt 0 0"
+_SMOOTHED = "obj s (smoothing groups) of faces without normals, which are smooth up to 60 degrees"
 _MOST_LIBRARIES = 1000
 _MOST_DIGITS = 18
 """Of an index; no file has as many entries."""
@@ -56,17 +60,20 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> ObjText:
     """Vertices, materials and faces of an OBJ file, one statement a line, the faces in order of their materials.
 
     Where some faces of a material have texture coordinates, the others get 0 0; normals that not all of them have are
-    left out. Both are noted. Concave faces are cut into triangles. All material files stand in one, `LIBRARY`.
+    left out. Both are noted, and smoothing groups of faces without normals. Concave faces are cut into triangles. All
+    material files stand in one, `LIBRARY`.
 
     Raises:
         SceneFileError: a face has less than three corners, or an index that is no number, 0, or out of range; a vertex,
-            normal or texture coordinate has too few numbers, or one that is none; a concave face has too many corners;
-            more than 1000 material files are named.
+            normal or texture coordinate has too few numbers, or one that is none, or not finite where it is used; a
+            concave face has too many corners; more than 1000 material files are named.
     """
     counts: dict[str, int] = dict.fromkeys(_LISTS, 0)
     vertices: list[str] = []
     faces: dict[str, list[str]] = {}
     first_line: dict[str, dict[str, int]] = {}  # by material and corner
+    endless: dict[tuple[str, int], tuple[int, str]] = {}  # by list and index of what is not finite, its line
+    has_groups = False
     sizes: dict[str, set[int]] = {name: set() for name in _LISTS}
     libraries: dict[str, None] = {}  # without what is named twice
     material = ""
@@ -82,6 +89,8 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> ObjText:
             numbers = _numbers(path, line, keyword, rest)
             size = len(numbers)
             sizes[keyword].add(size)
+            if not all(map(math.isfinite, numbers[: _USED[keyword]])):
+                endless[keyword, counts[keyword]] = (line, rest[:60])
             if keyword == "v":
                 positions.extend(numbers[:3])
                 brightest = max([brightest, *numbers[3:6]])
@@ -103,6 +112,8 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> ObjText:
             libraries |= dict.fromkeys(_AFTER_LIBRARY.split(rest))
             if len(libraries) > _MOST_LIBRARIES:
                 raise SceneFileError(path, line, f"names more than {_MOST_LIBRARIES} material files")
+        elif keyword == "s":
+            has_groups = True
         elif keyword in _SKIPPED:
             notes.skipped[f"obj {keyword}"] += 1
     colored, bare = min(sizes["v"], default=0) >= 6, LIBRARY
@@ -116,6 +127,10 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> ObjText:
     texts: list[str] = []
     for name, corners_of in faces.items():
         parsed = {corner: _parsed(path, line, corner, counts) for corner, line in first_line[name].items()}
+        normals = all(vn for _, _, vn in parsed.values())
+        _check_finite(path, parsed, endless, _LISTS if normals else _LISTS[:2])
+        if has_groups and not normals:
+            notes.unused[_SMOOTHED] += len(corners_of)
         texts += [f"usemtl {name or bare}"] if name or colored else []
         convex = _cut(path, corners_of, parsed, np.frombuffer(positions).reshape(-1, 3), name)
         texts += _alike(convex, parsed, counts["vt"] + 1, name, notes)
@@ -135,6 +150,8 @@ def _lines(text: str) -> list[str]:
 def _numbers(path: Path, line: int, keyword: str, rest: str) -> list[float]:
     """Of a vertex, a normal or a texture coordinate."""
     try:
+        if "_" in rest or not rest.isascii():  # Python's own ways to write numbers
+            raise ValueError
         numbers = [float(word) for word in rest.split()]
     except ValueError:
         raise SceneFileError(path, line, f"a {keyword} has {rest[:60]!r}, expected numbers") from None
@@ -142,6 +159,19 @@ def _numbers(path: Path, line: int, keyword: str, rest: str) -> list[float]:
         message = f"a {keyword} has {len(numbers)} numbers, expected {_NEEDED[keyword]} or more"
         raise SceneFileError(path, line, message)
     return numbers
+
+
+def _check_finite(
+    path: Path, corners: dict[str, _Corner], endless: dict[tuple[str, int], tuple[int, str]], used: tuple[str, ...]
+) -> None:
+    """Refuse corners whose entries of the lists that are used are not finite."""
+    if not endless:
+        return
+    for corner in corners.values():
+        for name, index in zip(used, corner, strict=False):
+            if (name, index) in endless:
+                line, numbers = endless[name, index]
+                raise SceneFileError(path, line, f"a {name} has {numbers!r}, expected finite numbers")
 
 
 def _in_unit_colors(statement: str) -> str:

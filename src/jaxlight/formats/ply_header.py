@@ -21,7 +21,7 @@ _INTEGERS = {
     "uint64",
 }  # fmt: skip
 _TYPES = {*_INTEGERS, "float", "double", "float16", "float32", "float64"}
-_CORNERS = ("vertex_indices", "vertex_index")
+CORNERS = ("vertex_indices", "vertex_index")
 _COLORS = ("red", "green", "blue", "alpha")
 _OTHER_COLORS = (("diffuse_red", "diffuse_green", "diffuse_blue", "diffuse_alpha"), ("r", "g", "b", "a"))
 """What else programs call them."""
@@ -92,7 +92,7 @@ def _usual_names(element: PlyElement) -> dict[str, str]:
     """By their names, properties that trimesh knows by other ones: the only list of a face, and colours."""
     there = element.properties.keys()
     if element.name == "face" and list(element.properties.values()) == [True]:
-        return dict.fromkeys(there, _CORNERS[0])
+        return dict.fromkeys(there, CORNERS[0])
     for others in _OTHER_COLORS:
         if there >= set(others[:3]) and there.isdisjoint(_COLORS):
             return {other: usual for other, usual in zip(others, _COLORS, strict=True) if other in there}
@@ -107,5 +107,5 @@ def _check_element(path: Path, element: PlyElement) -> None:
     if element.name == "vertex" and needed:
         raise SceneFileError(path, element.line, f"the vertices have no property {needed[0]}")
     lists = [name for name, is_list in element.properties.items() if is_list]
-    if element.name == "face" and len(element.properties) != 1 and not set(lists) & set(_CORNERS):
-        raise SceneFileError(path, element.line, f"the faces have no list {_CORNERS[0]}")
+    if element.name == "face" and len(element.properties) != 1 and not set(lists) & set(CORNERS):
+        raise SceneFileError(path, element.line, f"the faces have no list {CORNERS[0]}")
