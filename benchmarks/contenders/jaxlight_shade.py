@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -77,6 +78,13 @@ def free_fields(scene: Scene, kind: str) -> dict[str, Any]:
     return {f"{group}.{name}": value for group, node in groups.items() for name, value in vars(node).items()}
 
 
+def split_fields(scene: Scene, kind: str, names: Sequence[str]) -> tuple[Scene, Scene]:
+    """The fields of these names, by which all contenders differentiate, and the rest of the scene; None elsewhere."""
+    chosen = jax.tree.map(lambda _: False, scene)
+    chosen = eqx.tree_at(lambda own: [free_fields(own, kind)[name] for name in names], chosen, [True] * len(names))
+    return eqx.partition(scene, chosen)
+
+
 class JaxlightShade(Contender):
     """The library as it is called.
 
@@ -145,7 +153,7 @@ class JaxlightShade(Contender):
     def compiled(self, operation: Operation) -> tuple[Run, str]:
         """The operation compiled by a jit of its own, and the program that came out."""
         plan = self._plan(operation)
-        free, fixed = eqx.partition(self._scene, eqx.is_inexact_array)
+        free, fixed = split_fields(self._scene, self._kind, self._names)
         names = ("position_planes", "normal_planes", "color_planes") if self._by_samples else ()
         planes = {name: getattr(self._samples, name) for name in names}
 
