@@ -1,4 +1,4 @@
-"""Ctrl-C on the command line: one line at start-up, and results that are written all the same."""
+"""Ctrl-C on the command line, one line, and results that are written all the same; and readers that go away."""
 
 from __future__ import annotations
 

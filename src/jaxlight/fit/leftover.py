@@ -39,9 +39,12 @@ def leftover(problem: Problem, values: Float[Array, " parameters"]) -> Leftover:
 
     def of_view(view: ViewData) -> Leftover:
         residual = view_residual(problem, world, view)
-        limits = [False if view.saturated is None else view.target >= view.saturated]
-        limits.append(False if view.dark is None else view.target <= view.dark)
-        said = (view.root_weight > 0) & ~((limits[0] | limits[1]) & (residual == 0))
+        beyond = jnp.zeros(residual.shape, bool)
+        if view.saturated is not None:
+            beyond |= view.target >= view.saturated
+        if view.dark is not None:
+            beyond |= view.target <= view.dark
+        said = (view.root_weight > 0) & ~(beyond & (residual == 0))
         weight = reweight(*problem.rho, residual)
         heard = jnp.ones_like(residual) if weight is None else weight
         slopes = _slopes(*problem.rho, residual)
