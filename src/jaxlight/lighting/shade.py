@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -56,48 +56,63 @@ def shade(
             known; a plan that was made for another scene, or for samples elsewhere; samples that name a surface the
             scene lacks, or lack a colour or texels that it asks for.
     """
-    return _shade(_in_sample_order, scene, samples, options, plan)
+    return _shade(_IN_SAMPLE_ORDER, scene, samples, options, plan)
 
 
 def shade_slots(
     scene: Scene, samples: SampleBuffer, options: LightingOptions | None = None, *, plan: Plan | None = None
 ) -> Float[Array, "slots 4"]:
     """`shade` in storage order, as it is computed: one row a slot of the buffer, padding included."""
-    return _shade(_slots, scene, samples, options, plan)
+    return _shade(_SLOTS, scene, samples, options, plan)
 
 
 def shade_planes(
     scene: Scene, samples: SampleBuffer, options: LightingOptions | None = None, *, plan: Plan | None = None
 ) -> Float[Array, "4 slots"]:
     """`shade` in storage order: planes red, green, blue, alpha, one column a slot of the buffer, padding included."""
-    return _shade(_planes, scene, samples, options, plan)
+    return _shade(_PLANES, scene, samples, options, plan)
 
 
 def shade_tiles(
     scene: Scene, samples: SampleBuffer, options: LightingOptions | None = None, *, plan: Plan | None = None
 ) -> Float[Array, "tiles 4 tile"]:
     """`shade` in storage order, planes tile by tile, padding included: what derivatives of colours are quickest of."""
-    return _shade(_planes_by_tile, scene, samples, options, plan)
+    return _shade(_PLANES_BY_TILE, scene, samples, options, plan)
 
 
-def _in_sample_order(rows: Float[Array, "tiles tile 4"], samples: SampleBuffer) -> Float[Array, "samples 4"]:
+def _in_sample_order(
+    rows: Float[Array, "tiles tile numbers"], samples: SampleBuffer
+) -> Float[Array, "samples numbers"]:
     return samples.in_sample_order(_slots(rows, samples), axis=0)
 
 
-def _slots(rows: Float[Array, "tiles tile 4"], samples: SampleBuffer) -> Float[Array, "slots 4"]:
-    return rows.reshape(-1, 4)
+def _slots(rows: Float[Array, "tiles tile numbers"], samples: SampleBuffer) -> Float[Array, "slots numbers"]:
+    return rows.reshape(-1, rows.shape[-1])
 
 
-def _planes(rows: Float[Array, "tiles tile 4"], samples: SampleBuffer) -> Float[Array, "4 slots"]:
-    return jnp.moveaxis(rows, -1, 0).reshape(4, -1)
+def _planes(rows: Float[Array, "tiles tile numbers"], samples: SampleBuffer) -> Float[Array, "numbers slots"]:
+    return jnp.moveaxis(rows, -1, 0).reshape(rows.shape[-1], -1)
 
 
-def _planes_by_tile(rows: Float[Array, "tiles tile 4"], samples: SampleBuffer) -> Float[Array, "tiles 4 tile"]:
+def _planes_by_tile(
+    rows: Float[Array, "tiles tile numbers"], samples: SampleBuffer
+) -> Float[Array, "tiles numbers tile"]:
     return jnp.swapaxes(rows, 1, 2)
 
 
-_Form = Callable[[Array, SampleBuffer], Array]
-"""In which colours are given: a function of the rows of all tiles."""
+class _Form(NamedTuple):
+    """In which colours are given."""
+
+    of: Callable[[Array, SampleBuffer], Array]
+    """From the rows of all tiles, or some numbers of them."""
+    axis: int
+    """Of the result, along which the numbers of a sample follow one another."""
+
+
+_IN_SAMPLE_ORDER = _Form(_in_sample_order, axis=1)
+_SLOTS = _Form(_slots, axis=1)
+_PLANES = _Form(_planes, axis=0)
+_PLANES_BY_TILE = _Form(_planes_by_tile, axis=1)
 
 
 @usual_promotion
@@ -158,7 +173,7 @@ def _in_one(runs: list[Array], samples: SampleBuffer) -> Float[Array, "tiles til
 
 
 def _formed(form: _Form, plan: Plan, scene: Scene, samples: SampleBuffer) -> Array:
-    return mapped_axis_first(form(_in_one(_rows_of_runs(plan, scene, samples, None), samples), samples))
+    return mapped_axis_first(form.of(_in_one(_rows_of_runs(plan, scene, samples, None), samples), samples))
 
 
 _formed_in_jit = jax.jit(_formed, static_argnums=(0, 1))
@@ -187,13 +202,15 @@ def _change_in_jit(form: _Form, plan: Plan, primals: Any, tangents: Any) -> tupl
     by_images = moves((own.position_planes, own.normal_planes, own.color_planes, own.texel_weight, change.textures))
 
     def in_stages(scene: Scene, samples: SampleBuffer) -> Array:
-        return mapped_axis_first(form(_rows_in_stages(plan, scene, samples, by_images), samples))
+        # Joined at the very end, so that a loss of colours alone meets no image with alpha.
+        parts = [form.of(rows, samples) for rows in _rows_in_stages(plan, scene, samples, by_images)]
+        return mapped_axis_first(jnp.concatenate(parts, axis=form.axis))
 
     return with_change(in_stages, primals, tangents)
 
 
-def _rows_in_stages(plan: Plan, scene: Scene, samples: SampleBuffer, by_images: bool) -> Float[Array, "tiles tile 4"]:
-    """The colours of all tiles, in the form that is differentiated."""
+def _rows_in_stages(plan: Plan, scene: Scene, samples: SampleBuffer, by_images: bool) -> list[Array]:
+    """The colours of all tiles and then alpha, in the form that is differentiated."""
     count = tiles_at_once(scene, samples, plan)
     prepared = prepare(scene, samples, plan, count)
     runs = [
@@ -201,10 +218,8 @@ def _rows_in_stages(plan: Plan, scene: Scene, samples: SampleBuffer, by_images: 
         for run in surface_runs(scene.surfaces, samples)
     ]
     if not runs:
-        return _in_one([], samples)
-    # Joined at the very end, so that a loss of colours alone meets no image with alpha in reverse mode either.
-    whole = [jnp.concatenate(part) for part in zip(*runs, strict=True)]
-    return jnp.swapaxes(jnp.concatenate(whole, axis=1), 1, 2)
+        return [_in_one([], samples)]
+    return [jnp.swapaxes(jnp.concatenate(part), 1, 2) for part in zip(*runs, strict=True)]
 
 
 @partial(jit_on_cpu, static_argnums=(0, 4))
@@ -216,7 +231,7 @@ def _share_of_rows(plan: Plan, scene: Scene, samples: SampleBuffer, number: Int[
 def _joined(form: _Form, lengths: tuple[int, ...], shares: list[list[Array]], samples: SampleBuffer) -> Array:
     """`_shaded` from all shares of runs of so many tiles."""
     runs = [joined_shares(list(run), length) for run, length in zip(zip(*shares, strict=True), lengths, strict=True)]
-    return form(_in_one(runs, samples), samples)
+    return form.of(_in_one(runs, samples), samples)
 
 
 def _is_on_cpu(samples: SampleBuffer) -> bool:
