@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from typing import Any
 
 import equinox as eqx
@@ -48,6 +49,17 @@ class Wrapped:
 def test_levels_are_refused_in_whatever_they_come(field: str, given: Any, got: str) -> None:
     with precision("float32") as dtype, pytest.raises(ValueError, match=rf"View\[0\].{field}: got {got}"):
         make_problem(sphere_scene(dtype=dtype), view_of(dtype, **{field: given}), FREE)
+
+
+@pytest.mark.parametrize("level", [1.0, 255.0])
+def test_floats_that_look_like_levels_are_told(level: float) -> None:
+    target = np.round(LEVELS / 255 * level)
+    target[0, 0] = np.nan  # nothing is seen there
+    with precision("float32") as dtype, warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        make_problem(sphere_scene(dtype=dtype), view_of(dtype, target=target), FREE)
+    expected = [] if level == 1 else [f"View[0].target: whole numbers up to {LEVELS.max()}, as levels are"]
+    assert [str(one.message).partition(";")[0] for one in told] == expected
 
 
 def test_encode_refuses_a_list_of_levels() -> None:

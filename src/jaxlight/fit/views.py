@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..arrays import GIVE_MASK, array_of, known_numbers
-from ..formats.levels import is_chosen, refuse_levels
+from ..formats.levels import is_chosen, look_like_levels, refuse_levels
 from ..raster.samples import SampleBuffer
 from ..scene.fields import number, positive
 from ..scene.flags import Flags
@@ -148,6 +149,12 @@ def _seen_and_heard(
         raise ValueError(
             f"{label}.target: {np.count_nonzero(bad)} of {np.count_nonzero(used.any(axis=1))} used points are not "
             f"finite (first: {layout.where(int(np.argmax(bad)))}); leave them out with `mask`"
+        )
+    if look_like_levels(target[used.any(axis=1)]):
+        warnings.warn(
+            f"{label}.target: whole numbers up to {np.max(target[used.any(axis=1)]):g}, as levels are; if they are, "
+            "divide by the largest level (255 of 8 bits) or use read_image",
+            stacklevel=2,
         )
     smallest, largest = float(jnp.finfo(dtype).tiny), float(jnp.finfo(dtype).max)
     field, what = ("weight", "weight") if view.weight is not None else ("noise", "weight 1 / noise^2")

@@ -20,6 +20,11 @@ def are_bytes(largest: float) -> bool:
     return largest > 2.0
 
 
+def look_like_levels(colors: np.ndarray) -> bool:
+    """Whether floats are whole numbers as levels are, of a picture that was not divided by the largest."""
+    return bool(colors.size and np.all(colors == np.round(colors)) and are_bytes(float(np.max(colors))))
+
+
 def refuse_levels(where: str, value: Any, advice: str = " or use read_image") -> None:
     """Raise ValueError for an array of levels, also for those in wider integers: whole numbers above 1.
 
