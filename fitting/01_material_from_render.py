@@ -4,7 +4,8 @@ In: data/spot/spot.x3d (geometry and camera; its material and light are what the
 compare with) and data/spot/spot_256.png, 8 bits a channel, made as data/spot/HOW_IT_WAS_MADE.txt says.
 Out (folder --output): fitted.x3d, the scene with what was found; fitted.png, its picture; report.html, a page on what
 the fit did; report.txt, the printed table: each free number, its truth, start, error, and the standard error that
-rounding to 8 bits leaves it: about two errors of three are smaller.
+independent noise of the size of rounding to 8 bits would leave it. Rounding is not independent in evenly lit areas:
+errors may be up to twice as large.
 
 Free are the diffuse and specular colour, the shininess and the place of the lamp, from a start that is wrong in all of
 them. The lamp's colour and attenuation are known: only their product with the material's colours can be seen.

@@ -112,7 +112,7 @@ def fit_lamps(
         atol=tolerance,
         max_steps=200,
     )
-    print(f"  {len(views)} photographs, {len(found.values)} numbers: {found.message}")
+    print(f"  {len(views)} photograph{'s' * (len(views) > 1)}, {len(found.values)} numbers: {found.message}")
     return found.scene
 
 

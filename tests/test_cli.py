@@ -148,6 +148,15 @@ def test_info_names_what_can_be_fitted(run) -> None:
     assert row.split() == ["Material[red].diffuse_color", "0.8", "0.2", "0.1", "[0,", "1]"]
 
 
+def test_info_lists_no_headlight_and_says_what_has_no_slope(run) -> None:
+    Path("dark.x3d").write_text("<X3D><Scene><Shape><Sphere/></Shape></Scene></X3D>")
+    result = run("info", "dark.x3d")
+    assert "the headlight stands in no file and cannot be fitted" in result.out
+    assert "DirectionalLight[headlight]." not in result.out
+    rows = [line for line in run("info", "scene.x3d").out.splitlines() if "no slope" in line]
+    assert [row.split()[0] for row in rows] == ["PointLight[key].radius", "SpotLight[rim].radius"]
+
+
 def test_info_as_json(run) -> None:
     description = json.loads(run("info", "scene.x3d", "--json").out)
     assert description["nodes"]["PointLight"] == 1
@@ -231,7 +240,7 @@ def test_fit_finds_the_material_and_writes_everything(run, target: Path) -> None
     assert result.status == 0, result.err
     assert result.out.startswith("Converged in ")
     steps = [line for line in result.err.splitlines() if line.split()[0].isdigit()]
-    heading = "step loss residual gradient step norm damping seconds left"
+    heading = "step loss residual gradient step/tol damping seconds left"
     assert " ".join(result.err.splitlines()[0].split()) == heading
     residuals = [float(line.split()[2]) for line in steps]
     assert len(steps) >= 3 and residuals[-1] < 0.05 * residuals[0]

@@ -131,10 +131,31 @@ picture = "side.png"
 mask = "mask.png"
 """
 MISTAKES = {
-    "unknown key": ("scene =", "scenes =", "1: scenes: there is no such key; did you mean 'scene'?"),
-    "unknown in a table": ("lower", "lowest", "3: free[1].lowest: there is no such key; did you mean 'lower'?"),
-    "unknown in a view": ("mask =", "masks =", "10: views[1].masks: there is no such key; did you mean 'mask'?"),
-    "nothing like it": ("mask =", "zzz =", "10: views[1].zzz: there is no such key; known are picture, name,"),
+    "unknown key": ("scene =", "scenes =", "1: scenes: there is no such key here; did you mean 'scene'?"),
+    "unknown in a table": ("lower", "lowest", "3: free[1].lowest: there is no such key here; did you mean 'lower'?"),
+    "unknown in a view": ("mask =", "masks =", "10: views[1].masks: there is no such key here; did you mean 'mask'?"),
+    "nothing like it": ("mask =", "zzz =", "10: views[1].zzz: there is no such key here; known are picture, name,"),
+    "a key of another table": (
+        "mask =",
+        "rtol = 1\nmask =",
+        "10: views[1].rtol: there is no such key here; it belongs at",
+    ),
+    "a key of a view": (
+        "free =",
+        'decode = "srgb"\nfree =',
+        "2: decode: there is no such key here; it belongs in an entry",
+    ),
+    "a reading": (
+        "free =",
+        'texture_mode = "replace"\nfree =',
+        "2: texture_mode: there is no such key here; it belongs in the",
+    ),
+    "no quotes": ('"mask.png"', "mask.png", "10: Invalid value (texts and paths stand in quotes)"),
+    "a path without quotes": (
+        '"Material[body].shininess" =',
+        "Material[body].shininess =",
+        "5: Expected '=' after a key in a key/value pair (texts",
+    ),
     "no picture": ('picture = "front.png"', "", "6: views[0]: the key 'picture' is missing"),
     "no scene": ('scene = "scene.x3d"', "", "the key 'scene' is missing"),
     "a number for a path": ('"mask.png"', "3", "10: views[1].mask: expected a path, got 3"),
@@ -161,7 +182,7 @@ MISTAKES = {
     "no such start": ("].shin", "].shine", "no field 'Material[body].shineiness'"),
     "a mask of another size": ('"mask.png"', '"small.png"', "10: views[1].mask: "),
     "no picture in it": ('"front.png"', '"scene.x3d"', "7: views[0].picture: "),
-    "no such viewpoint": ("mask =", 'viewpoint = "top"\nmask =', "10: views[1].viewpoint: the scene has no viewpoint"),
+    "no such viewpoint": ("mask =", 'viewpoint = "top"\nmask =', "10: views[1].viewpoint: the scene has no Viewpoint"),
     "two cameras": (
         "mask =",
         'viewpoint = "front"\ncamera = { fx = 1, fy = 1, cx = 0, cy = 0 }\nmask =',
@@ -251,10 +272,10 @@ def test_a_link_out_of_the_folder_is_refused(folder: Path, tmp_path_factory: pyt
 
 
 WORDS = {
-    "an option that belongs into the file": (["--max-steps", "3"], "--max-steps: belongs into"),
-    "a reading beside the file": (["--specular-gate"], "--specular-gate: belongs into"),
+    "an option that belongs in the file": (["--max-steps", "3"], "--max-steps: belongs in"),
+    "a reading beside the file": (["--specular-gate"], "--specular-gate: belongs in"),
     "what goes with the file": (["--overwrite", "--output", "problem.toml"], "expected a folder, got a file"),
-    "a picture beside the file": (["x.png"], "PICTURE: belongs into"),
+    "a picture beside the file": (["x.png"], "PICTURE: belongs in"),
     "no output": ([], "output: expected a folder for the results"),
     "the problem as an output": (["--output", "."], "is an input of this command"),
 }

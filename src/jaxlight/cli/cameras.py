@@ -24,5 +24,5 @@ def camera_of(scene: Scene, viewpoint: str) -> Camera:
         return Camera.from_viewpoint(placed[names.index(viewpoint)])
     if viewpoint.isdecimal() and int(viewpoint) < len(placed):
         return Camera.from_viewpoint(placed[int(viewpoint)])
-    there = ", ".join(name or str(row) for row, name in enumerate(names)) or "it has none"
-    raise ValueError(f"the scene has no viewpoint {viewpoint!r}: {there}")
+    there = ", ".join(name or str(row) for row, name in enumerate(names)) or "none"
+    raise ValueError(f"the scene has no Viewpoint {viewpoint!r}; it has {there}")

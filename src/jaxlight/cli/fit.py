@@ -28,29 +28,29 @@ class Fit:
 
     `jaxlight info SCENE` lists the fields. The values in the scene are the start, unless --start gives others. A
     problem file says all of this in one place, and more (docs/problem-files.md). The folder --output gets scene.x3d
-    (the scene with the fitted values, its textures beside it), one picture a view, report.html to look at, fit.json and
-    log.jsonl for programs, and checkpoint.npz for --resume. Ctrl-C ends the fit and keeps the best so far. Exit status
-    1 if it did not converge."""
+    (the scene with the fitted values, its textures beside it), one picture a view (sRGB after --decode srgb),
+    report.html to look at, fit.json and log.jsonl for programs, and checkpoint.npz for --resume. Ctrl-C ends the fit
+    and keeps the best so far. Exit status 1 if it did not converge."""
 
     scene: ScenePath
     """An X3D file or a mesh (glb, obj, ply, stl); or a problem file (.toml), which says everything."""
     targets: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="PICTURE ...")] = ()
     """The pictures to fit (png, jpg, exr, ...), each as the scene is seen from a viewpoint."""
-    output: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    output: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", aliases=("-o",))] = None
     """Where the results go; made if it is not there."""
     free: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PATH ...")] = ()
     """Fields to fit, such as 'Material[body].*'."""
     start: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PATH=VALUE ...")] = ()
     """Start values instead of those in the scene, such as 'PointLight[key].location=1 2 3'."""
     viewpoints: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """DEF name or number of the Viewpoint of each picture (default: the scene's first for all)."""
+    """DEF name of the Viewpoint of each picture or its number from 0 (default: the scene's first for all)."""
     masks: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PICTURE ...")] = ()
     """A mask for each picture: what is darker than one half is not fitted."""
     decode: Literal["none", "srgb"] = "none"
     """What the pictures' numbers are: those of the equation, or sRGB of linear light (photographs)."""
     saturated: float | None = None
     """Numbers from here on, as they are after --decode, are only known to be at least this (default: 1 for pictures of
-    8 or 16 bits)."""
+    8 or 16 bits; inf: none).""" ""
     samples: int = 1
     """Samples a pixel; pixels where shapes meet are then compared as they are covered. Those at the rim of what is
     seen are left out: only a problem file says what is behind them (`background`)."""
@@ -77,7 +77,7 @@ class Fit:
         for name, value in self._words().items():
             if name not in beside and value != default[name]:
                 option = "PICTURE" if name == "targets" else f"--{name.replace('_', '-')}"
-                raise ValueError(f"{option}: belongs into {self.scene}, which says all about the fit")
+                raise ValueError(f"{option}: belongs in {self.scene}, which says all about the fit")
         file = ProblemFile(self.scene)
         problem = file.problem if self.output is None else dataclasses.replace(file.problem, output=self.output)
         spare([self.scene], [] if problem.output is None else outputs(problem, problem.output))

@@ -31,7 +31,7 @@ LOSS_SCALE = 0.02
 LOSS_SCALES_OF_NOISE = {"huber": 1.345, "cauchy": 2.385}
 """In standard deviations: of normal noise they lose 5 % of what least squares would know."""
 _HEADING = (
-    f"{'step':>5} {'loss':>12} {'residual':>12} {'gradient':>10} {'step norm':>10} {'damping':>9} {'seconds':>8} "
+    f"{'step':>5} {'loss':>12} {'residual':>12} {'gradient':>10} {'step/tol':>10} {'damping':>9} {'seconds':>8} "
     f"{'left':>8}"
 )
 

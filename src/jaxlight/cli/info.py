@@ -99,9 +99,11 @@ def _lights(scene: Scene) -> list[dict[str, Any]]:
 def _fields(scene: Scene) -> list[dict[str, Any]]:
     from jaxlight.scene.paths import fields
 
+    headlight = scene.directional is not None and scene.directional.headlight  # in no file: it cannot be fitted
     return [
         {"path": field.path, "value": _value(field.value(scene)), "range": str(field.leaf.range)}
         for field in fields(scene)
+        if not (headlight and field.leaf.kind == "DirectionalLight")
     ]
 
 
@@ -134,6 +136,8 @@ def _as_text(title: str, description: dict[str, Any]) -> str:
         for light in description["lights"]
     ]
     row("lights", lights)
+    if description["headlight"]:
+        row("", ["the headlight stands in no file and cannot be fitted; add a light to the scene for that"])
     row("fog", [description["fog"]] if description["fog"] else [])
     row(
         "textures",
@@ -141,10 +145,15 @@ def _as_text(title: str, description: dict[str, Any]) -> str:
     )
 
     lines += ["", "Fields that can be fitted (jaxlight fit --free PATH)"]
-    table = [(field["path"], _shown(field["value"]), field["range"]) for field in description["fields"]]
+    table = [(field["path"], _shown(field["value"]), _allowed(field)) for field in description["fields"]]
     widths = [max((len(cells[column]) for cells in table), default=0) for column in (0, 1)]
     lines += [f"  {path:<{widths[0]}}  {value:<{widths[1]}}  {allowed}" for path, value, allowed in table]
     return "\n".join(lines)
+
+
+def _allowed(field: dict[str, Any]) -> str:
+    is_jump = field["path"].endswith(".radius")
+    return field["range"] + (" (no slope: a fit does not move it)" if is_jump else "")
 
 
 def _camera(view: dict[str, Any]) -> str:

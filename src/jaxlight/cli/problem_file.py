@@ -8,15 +8,27 @@ import math
 import re
 import tomllib
 import types
+from collections.abc import Mapping
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from ..formats.errors import SceneFileError
 from ..formats.limits import read_bounded
-from .problem import OUTPUT, FitProblem
+from .options import Reading
+from .problem import OUTPUT, CameraProblem, FitProblem, MapsProblem, ViewProblem
 from .toml_lines import Key, key_lines
 
+_UNQUOTED = ("Invalid value", "Expected '=' after a key in a key/value pair")
+"""What the TOML reader says where a text or a path as key stands without quotes."""
 _SINGULAR = {float: "a number", int: "a whole number", str: "a text", bool: "true or false", Path: "a path"}
+_PLACES = {
+    "at the top of the file": FitProblem,
+    "in an entry of views": ViewProblem,
+    "in the table reading": Reading,
+    "in a view's camera": CameraProblem,
+    "in a view's maps": MapsProblem,
+}
+"""The keys of each; one that several have belongs in the first."""
 _PLURAL = {float: "numbers", str: "texts"}
 
 
@@ -42,7 +54,8 @@ class ProblemFile:
         except tomllib.TOMLDecodeError as error:
             what, _, place = str(error).rpartition(" (at ")
             line = re.match(r"line (\d+)", place)
-            raise SceneFileError(path, int(line[1]) if line else text.count("\n") + 1, what) from None
+            hint = " (texts and paths stand in quotes)" if what in _UNQUOTED else ""
+            raise SceneFileError(path, int(line[1]) if line else text.count("\n") + 1, what + hint) from None
         except RecursionError:
             raise SceneFileError(path, None, "tables or lists are nested too deep") from None
         except SceneFileError:
@@ -63,9 +76,7 @@ class ProblemFile:
         hints = get_type_hints(kind, include_extras=True)
         for name in content:
             if name not in hints:
-                close = difflib.get_close_matches(name, hints, n=1, cutoff=0.5)
-                hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(hints)}"
-                raise self.error((*key, name), f"there is no such key; {hint}")
+                raise self.error((*key, name), f"there is no such key here; {_hint(name, hints)}")
         for field in dataclasses.fields(kind):
             if field.default is field.default_factory is dataclasses.MISSING and field.name not in content:
                 raise self.error(key, f"the key {field.name!r} is missing")
@@ -109,6 +120,15 @@ class ProblemFile:
         if must_exist and not (folder / value).is_file():
             raise self.error(key, f"{value}: no such file beside the problem file")
         return folder / value
+
+
+def _hint(name: str, known: Mapping[str, Any]) -> str:
+    """Where a key belongs, or what else may have been meant."""
+    for place, kind in _PLACES.items():
+        if name in (field.name for field in dataclasses.fields(kind)):
+            return f"it belongs {place}"
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
 
 
 def _is_union(kind: Any) -> bool:

@@ -20,13 +20,13 @@ class Render:
 
     $ jaxlight render scene.x3d --output scene.png
     $ jaxlight render scene.x3d --output big.png --width 1920 --height 1080 --samples 16
-    $ jaxlight render scene.x3d --output linear.png --encode srgb --viewpoint top
+    $ jaxlight render scene.x3d --output srgb.png --encode srgb --viewpoint top
 
     The picture holds the equation's numbers as they are, as X3D browsers show them; in .png and .jpg up to 1."""
 
     scene: ScenePath
     """An X3D file, or a mesh (glb, obj, ply, stl)."""
-    output: Path
+    output: Annotated[Path, tyro.conf.arg(aliases=("-o",))]
     """The picture to write (.png, .jpg or .exr)."""
     width: int = 512
     """Pixels."""
@@ -35,8 +35,8 @@ class Render:
     samples: int = 1
     """Samples a pixel; 16 gives smooth edges."""
     viewpoint: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
-    """DEF name or number of a Viewpoint (default: the first; without any, X3D's own if it shows all shapes at a fair
-    size, otherwise a camera that frames them)."""
+    """DEF name of a Viewpoint or its number from 0 (default: the first; without any, X3D's own if it shows all shapes
+    at a fair size, otherwise a camera that frames them)."""
     encode: Literal["none", "srgb"] = "none"
     """Write the numbers as they are, or as sRGB of linear light."""
     precision: Precision = "float32"

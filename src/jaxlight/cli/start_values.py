@@ -25,7 +25,8 @@ def parse_assignment(text: str) -> tuple[str, Numbers]:
     except ValueError:
         values = ()
     if not equals or not values:
-        raise ValueError(f"expected PATH=NUMBERS such as 'Material[0].shininess=0.5', got {text!r}")
+        hint = "" if equals else "; quotes hold several numbers together: 'PointLight[key].location=1 2 3'"
+        raise ValueError(f"expected PATH=NUMBERS such as 'Material[0].shininess=0.5', got {text!r}{hint}")
     return path, values
 
 

@@ -138,7 +138,7 @@ class Checkpoint:
         if header.get("problem") != self._digest:
             raise _Refused(
                 f"{path}: belongs to another fit: scene, views, free fields, precision and options must be those with "
-                "which it was written"
+                "which it was written; `overwrite` begins anew"
             )
         return header
 

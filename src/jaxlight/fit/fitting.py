@@ -167,7 +167,7 @@ def fit(
             1e-6, 1e-6)`) instead of the bounded Levenberg-Marquardt; it has tolerances of its own, shows no
             steps, explores no random starts, and only approaches bounds.
         progress: called with a `Step` after each evaluation; an interrupt (Ctrl-C) returns the best so far.
-        log: file that gets a line of JSON a step (`RunLog` says which).
+        log: file that gets a line of JSON a step (docs/fitting.md says which).
         checkpoint: .npz file from which the fit can be resumed, also after its process was killed.
         checkpoint_seconds: least time from one checkpoint to the next; 0: one after every step.
         resume: carry on from the checkpoint, to the same numbers as if there had been no interruption; begin if there
@@ -196,7 +196,7 @@ def fit(
     if progress is not None and not callable(progress):
         raise ValueError(f"progress: expected a function of a Step, got {progress!r:.60}")
     if resume and checkpoint is None:
-        raise ValueError("resume: expected a checkpoint to resume from")
+        raise ValueError("resume: give `checkpoint` too, the file to carry on from")
     if resume and overwrite:
         raise ValueError("overwrite: expected resume or overwrite, not both")
     if method is not None:

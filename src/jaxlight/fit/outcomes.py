@@ -41,7 +41,7 @@ def message_of(outcome: Outcome, state: FitState, history: Sequence[Step], rms: 
     trials = f"{state.accepted} step{'' if state.accepted == 1 else 's'} ({state.tried} tried)"
     coarse = sum(step.part < 1 for step in history)
     if coarse > 1:
-        trials += f", the first {coarse - 1} with {100 * history[0].part:.3g} % of the samples"
+        trials += f", the first {coarse - 1 if coarse > 2 else 'one'} with {100 * history[0].part:.3g} % of the samples"
     if math.isnan(rms) and outcome == "interrupted":
         return "Interrupted before the start values were evaluated; they are unchanged."
     if outcome == "converged" and bool(state.solver.at_kink):

@@ -131,7 +131,8 @@ def _place(problem: Problem, view: int) -> tuple[ViewData, int]:
         for position, row in enumerate(np.asarray(stack.row).tolist()):
             if row == view:
                 return stack, position
-    raise ValueError(f"view: expected a row of the {len(problem.world.exposure)} views, got {view!r:.60}")
+    views = len(problem.world.exposure)
+    raise ValueError(f"view: expected the place of one of {views} view{'s' * (views > 1)}, from 0 on, got {view!r:.60}")
 
 
 @quick_jit
