@@ -49,6 +49,28 @@ def test_fits_of_a_cone_to_noisy_pictures_end_where_no_step_leads_down() -> None
             assert np.all(off < 4), off
 
 
+@pytest.mark.parametrize("name", ["float32", "float64"])
+@pytest.mark.parametrize("start", [(1, 0, 0.2), (1, 0.1, 0.1), (3, 0, 0), (2, 0, 0)])
+def test_attenuations_that_begin_too_strong_do_not_end_where_all_are_1(name: str, start: tuple[float, ...]) -> None:
+    """A sum of terms below 1 counts as 1: the whole linear step lands there, where no slope leads back."""
+    with precision(name) as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, key_light(attenuation=(1, 0, 0.02))))
+        scene = sphere_scene(key_light(attenuation=start), dtype=dtype)
+        for others in ([], ["Material[body].diffuse_color", "PointLight[key].location"]):
+            result = fit(scene, view, ["PointLight[key].attenuation", *others])
+            assert result.converged and result.accepted_steps < 16, result.message
+            assert result.rms < 100 * np.finfo(dtype).eps
+
+
+def test_an_attenuation_of_1_is_found_from_above() -> None:
+    noise = np.random.default_rng(3).normal(0, 0.002, (SIZE, SIZE, 3))
+    with precision("float64") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE) + noise, noise=0.002)
+        scene = sphere_scene(key_light(attenuation=(1, 0, 0.2)), dtype=dtype)
+        result = fit(scene, view, ["PointLight[key].attenuation", "Material[body].diffuse_color"])
+    assert result.converged and 0.9 < result.rms < 1.1, result.message
+
+
 @pytest.mark.parametrize(
     ("names", "said"),
     [

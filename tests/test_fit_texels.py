@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import jax
@@ -183,6 +184,18 @@ def test_an_ambiguity_is_named_where_a_texel_of_it_lies_on_a_bound() -> None:
             strength = np.where(np.arange(len(values)) < 2, 1 + rounding * np.finfo(dtype).eps, 1)
             found = uncertainty(best.problem, best.description, (values * strength).astype(dtype))
             assert np.any(values == 1) and not found.well_posed and found.rank == 1, found.messages()
+
+
+@pytest.mark.parametrize("black", [0.0, 0.25])
+def test_textures_of_which_many_colours_lie_on_a_bound_are_told(black: float) -> None:
+    image = np.where(np.random.default_rng(5).random((TEXELS, TEXELS, 1)) < black, 0, skin())
+    with precision("float64") as dtype:
+        result = fit(start(dtype), views(scene(image, dtype), dtype, noise=0.02), FREE)
+    told = [line for line in result.uncertainty.messages() if "lie on a bound: where noise put them there" in line]
+    assert len(told) == (black > 0)
+    assert all(
+        re.match(r"\d+ of the 432 colours of Texture\[skin\]\.image that are seen lie on", line) for line in told
+    )
 
 
 @pytest.mark.parametrize("prior", ["smoothness", "total_variation"])

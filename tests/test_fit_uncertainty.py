@@ -240,6 +240,15 @@ def test_a_number_at_the_end_of_an_endless_range_is_not_called_hardly_seen() -> 
     assert found.hardly_seen == ()
 
 
+def test_a_lamp_that_is_found_to_be_off_is_not_called_hardly_seen() -> None:
+    lamps = [key_light(), key_light(name="off", location=(-2.0, 1.0, 3.0), intensity=0.5)]
+    with precision("float64") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, noise=0.01), noise=0.01)
+        found = fit(sphere_scene(*lamps, dtype=dtype), view, "PointLight[off].intensity").uncertainty
+    assert 0 < found.standard_error[0] < 0.01
+    assert found.hardly_seen == ()
+
+
 def test_what_is_hardly_seen_and_hardly_told_apart_is_said() -> None:
     far = key_light(location=(300.0, 400.0, 1200.0), radius=1e6)
     with precision("float64") as dtype:

@@ -63,7 +63,8 @@ class BoxDampedNewton(optx.AbstractDescent):
         below, above = self.strides.limits(state.point)
         lower = jnp.maximum(self.lower, state.point + below)
         upper = jnp.minimum(self.upper, state.point + above)
-        return self._step(1 / step_size, state, lower, upper)[0], optx.RESULTS.successful
+        move = self._step(1 / step_size, state, lower, upper)[0]
+        return self.strides.shortened(state.point, move), optx.RESULTS.successful
 
     def undamped(self, state: DescentState, loss: Array) -> tuple[Array, Array]:
         """The step without damping, as far as the matrix can be trusted in this precision; and whether it is exact.

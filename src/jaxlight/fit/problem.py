@@ -239,23 +239,32 @@ def _strides(scene: Scene, parameters: Parameters, fields: list[FreeField], view
     middle = np.mean([np.mean(each, axis=1, dtype=np.float64) for each in middles], axis=0)
     count = len(parameters.start)
     down, up, floor = np.full(count, np.inf), np.full(count, np.inf), np.ones(count)
-    origin, group = np.zeros(count), np.arange(count)
+    origin, group, term, terms_held = np.zeros(count), np.arange(count), np.zeros(count), np.zeros(count)
     for field in fields:
         stride = UNLIMITED if field.leaf is None else stride_of(field.leaf.field)
         down[field.numbers], up[field.numbers], floor[field.numbers] = stride
         group[field.numbers] = field.numbers[0]
-        if field.leaf is not None and field.leaf.field in ("location", "direction"):
-            lights = getattr(scene, field.leaf.attribute)
-            center = np.zeros(3)
-            if field.leaf.field == "location":
-                to_world = np.asarray(lights.to_world[field.row], np.float64)
-                center = np.linalg.solve(to_world[:, :3], middle - to_world[:, 3])
-                origin[field.numbers] = center[field.components]
-            # Components that are not free are part of the vector's length.
-            vector = np.asarray(field.leaf.get(scene)[field.row], np.float64) - center
-            held = np.linalg.norm(np.delete(vector, field.components))
-            floor[field.numbers] = np.maximum(floor[field.numbers], held)
-    return Strides(*(array_of(a, dtype) for a in (down, up, floor, origin)), group=jnp.asarray(group))
+        if field.leaf is None or field.leaf.field not in ("location", "direction", "attenuation"):
+            continue
+        lights = getattr(scene, field.leaf.attribute)
+        vector, center = np.asarray(field.leaf.get(scene)[field.row], np.float64), np.zeros(3)
+        if field.leaf.field != "direction":
+            to_world = np.asarray(lights.to_world[field.row], np.float64)
+            center = np.linalg.solve(to_world[:, :3], middle - to_world[:, 3])
+        if field.leaf.field == "attenuation":
+            distance = np.linalg.norm(np.asarray(lights.location[field.row], np.float64) - center)
+            terms = distance ** np.arange(3)
+            term[field.numbers] = terms[field.components]
+            terms_held[field.numbers] = np.sum(np.delete(terms * vector, field.components))
+            continue
+        origin[field.numbers] = center[field.components]
+        # Components that are not free are part of the vector's length.
+        held = np.linalg.norm(np.delete(vector - center, field.components))
+        floor[field.numbers] = np.maximum(floor[field.numbers], held)
+    down, up, floor, origin, term, terms_held = (
+        array_of(own, dtype) for own in (down, up, floor, origin, term, terms_held)
+    )
+    return Strides(down, up, floor, origin, jnp.asarray(group), term, terms_held)
 
 
 def scene_of_view(world: World, view: ViewData) -> Scene:

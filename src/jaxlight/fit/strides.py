@@ -2,7 +2,8 @@
 
 A highlight's exponent and a light's distance act through ratios: a step that makes shininess a tenth, or throws a
 light behind the scene, lands where the picture no longer tells the way back. Such a step ends at its stride, and the
-next one takes its slope from there.
+next one takes its slope from there. A light whose attenuation c0 + c1 d + c2 d^2 is below 1 shines as if it were 1: no
+picture tells the way back from there either, and a step that leads towards it is shortened, all of it.
 """
 
 from __future__ import annotations
@@ -25,6 +26,10 @@ class Stride(NamedTuple):
 
 
 UNLIMITED = Stride()
+_HALF_WAY = 0.5
+"""How far of the way to an attenuation of 1 one step leads at most."""
+_CLOSE = 0.1
+"""By so much a step may lower an attenuation in any case: that close to 1 the linearised equation is right."""
 _STRIDES = {
     "shininess": Stride(0.5, 1.0, 0.02),
     "visibility_range": Stride(0.5, 1.0, 1e-6),
@@ -50,13 +55,27 @@ class Strides(eqx.Module):
     """Where sizes are measured from: for a light's location the middle of what it lights, else 0."""
     group: Int[Array, " parameters"]
     """Components of one vector have the same number."""
+    term: Float[Array, " parameters"]
+    """Of a component of an attenuation 1, d or d^2, the distance d being that of the middle of what is lit; else 0."""
+    held: Float[Array, " parameters"]
+    """The sum of the attenuation's terms that are not free."""
 
     def limits(self, values: Float[Array, " parameters"]) -> tuple[Array, Array]:
         """(lower, upper) ends of the next step, relative to the present values."""
         size = jnp.maximum(self.sizes(values), self.floor)
         return -self.down * size, self.up * size
 
+    def shortened(self, values: Float[Array, " parameters"], step: Float[Array, " parameters"]) -> Array:
+        """The step from these values, as long as attenuations allow."""
+        beyond = self._summed(self.term * values) + self.held - 1
+        lowered = jnp.maximum(-self._summed(self.term * step), 0)
+        allowed = jnp.maximum(_HALF_WAY * beyond, _CLOSE)
+        return step * jnp.min(allowed / jnp.maximum(lowered, allowed), initial=1)
+
     def sizes(self, values: Float[Array, " parameters"]) -> Float[Array, " parameters"]:
         """The size of each parameter, of vectors the length of what is free."""
-        squares = jax.ops.segment_sum((values - self.origin) ** 2, self.group, num_segments=values.shape[0])
-        return jnp.sqrt(squares)[self.group]
+        return jnp.sqrt(self._summed((values - self.origin) ** 2))
+
+    def _summed(self, own: Float[Array, " parameters"]) -> Float[Array, " parameters"]:
+        """Of each parameter the sum over its group."""
+        return jax.ops.segment_sum(own, self.group, num_segments=own.shape[0])[self.group]

@@ -28,6 +28,8 @@ from .widened import widened
 ENOUGH = 10
 """Residuals within a robust loss's scale, or as many that tell as much, from which on its errors are stated; fewer if
 they are half of all."""
+MANY = 0.05
+"""The share of a texture's colours from which on those that lie on a bound are told."""
 NOISIER, SURELY = 1.1, 5.0
 """What is left of pictures is more than their stated noise: by this factor, and by so many standard deviations."""
 
@@ -71,7 +73,8 @@ class Uncertainty:
     """Numbers that no picture depends on."""
     ambiguities: tuple[Ambiguity, ...]
     hardly_seen: tuple[tuple[str, float], ...]
-    """(label, standard error) of the numbers whose error is half of their value or of their range, or more."""
+    """(label, standard error) of the numbers whose error is half of their range or more; where that is endless, of
+    their value at the start or the end, whichever is larger."""
     correlations: tuple[Correlation, ...]
     """Pairs above 0.99 in absolute value, the strongest first."""
     remarks: tuple[str, ...] = ()
@@ -182,8 +185,8 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
     traded = np.max(np.abs(seen.null), axis=0, initial=0) > 1e-4
     error = np.where(seen.unseen | traded, np.inf, np.sqrt(np.maximum(np.diagonal(covariance), 0)))
     error = np.where(held, 0, error if is_known else np.inf)
-    size = np.where(np.isinf(lower) & np.isinf(upper), np.maximum(reduced.sizes, np.abs(found)), np.abs(found))
-    span = np.where(np.isfinite(upper - lower), upper - lower, size)
+    # What is found to be 0 is seen well if its error is small beside what it might have been: its start.
+    span = np.where(np.isfinite(upper - lower), upper - lower, np.maximum(reduced.sizes, np.abs(found)))
     hardly = np.isfinite(error) & (error > 0) & (error >= span / 2)
     partners = [
         Partner(block.path, reduced.answers[start : start + block.size], texels[start : start + block.size])
@@ -202,7 +205,11 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
         ambiguities=tuple(ambiguities(seen, found, labels, description.fields, partners)),
         hardly_seen=tuple((labels[i], float(error[i])) for i in np.flatnonzero(hardly).tolist()),
         correlations=tuple(_correlations(covariance, labels, traded)),
-        remarks=(*filter(None, [unknown]), *_remarks(problem, description, float(reduced.loss), fitted, off)),
+        remarks=(
+            *filter(None, [unknown]),
+            *_remarks(problem, description, float(reduced.loss), fitted, off),
+            *_texels_on_bounds(problem, texels, reduced.rows),
+        ),
         unseen_texels=tuple(_unseen_texels(problem, reduced.rows)),
     )
 
@@ -333,6 +340,22 @@ def _unseen_texels(problem: Problem, rows: np.ndarray) -> list[UnseenTexels]:
         if partly:
             found.append(UnseenTexels(block.path, partly, len(dark), partly == entirely))
     return found
+
+
+def _texels_on_bounds(problem: Problem, texels: np.ndarray, rows: np.ndarray) -> list[str]:
+    """Of each texture, whether there are so many that they shift the other numbers."""
+    count, said = problem.parameters.few, []
+    lower, upper = (np.asarray(a, np.float64)[count:] for a in (problem.parameters.lower, problem.parameters.upper))
+    pressed = (rows > 0) & ((texels <= lower) | (texels >= upper))
+    for block, start in zip(problem.parameters.blocks, _offsets(problem), strict=True):
+        own = slice(start, start + block.size)
+        on, seen = np.count_nonzero(pressed[own]), np.count_nonzero(rows[own])
+        if count and on > MANY * seen:
+            said.append(
+                f"{on} of the {seen} colours of {block.path} that are seen lie on a bound: where noise put them there, "
+                f"the other numbers may be off by more than their errors"
+            )
+    return said
 
 
 def _offsets(problem: Problem) -> list[int]:
