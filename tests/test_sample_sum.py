@@ -149,6 +149,12 @@ def test_gradients_outside_of_jit_are_compiled_once() -> None:
     brighter = eqx.tree_at(lambda scene: scene.point.intensity, scene, replace_fn=lambda old: old / 2)
     one, other, double = slope(scene, stored), slope(brighter, stored / 2), slope(scene, stored, 2.0)
     assert [programs_of(lambda own=own: slope(*own)) for own in ((scene, stored), (brighter, stored))] == [0, 0]
+
+    def value(scene: Scene) -> Any:
+        return sum_over_samples(lambda color: jax.nn.softplus(color), scene, samples)
+
+    assert float(value(scene)) == pytest.approx(float(np.logaddexp(0, shade(scene, samples)).sum()), rel=1e-6)
+    assert programs_of(lambda: value(brighter)) == 0
     assert_leaves_close(slope(scene, stored), one, 0)
     for found in (other, double, slope(scene, stored, power=4)):
         assert not np.allclose(found.point.intensity, one.point.intensity, rtol=1e-3)

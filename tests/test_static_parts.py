@@ -176,3 +176,21 @@ def test_static_parts_that_do_not_fit_are_refused(case: str) -> None:
     changes, said = STATIC[case]
     with pytest.raises(ValueError, match=said):
         shade(dataclasses.replace(SCENE, **changes), SAMPLE)
+
+
+def test_scenes_made_anew_are_one_program_without_their_nodes() -> None:
+    traced = []
+
+    @jax.jit
+    def brightness(scene: Scene) -> jax.Array:
+        traced.append(scene)
+        return jnp.sum(shade(scene, SAMPLE))
+
+    made = [scene_of(nodes.PointLight(location=(aside, 0, 3))) for aside in (1, 2)]
+    assert len(repr(made[0].document)) < 100
+    bare = [dataclasses.replace(scene, document=None) for scene in made]
+    found = [float(brightness(scene)) for scene in bare]
+    assert len(traced) == 1
+    assert found == [float(brightness(scene)) for scene in made] and found[0] != found[1]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *bare)
+    np.testing.assert_allclose(jax.vmap(brightness)(stacked), found, rtol=1e-6)

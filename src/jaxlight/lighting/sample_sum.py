@@ -57,7 +57,7 @@ def sum_over_samples(
         function: function(color, *planes) of n samples, each by itself: color [4, n], red, green, blue and alpha as
             `shade` gives them, planes [..., n]; gives [..., n], of which all is summed. It may close over traced
             arrays, of which derivatives are taken too; where scene or samples lie on a mesh of explicit axes, over no
-            arrays.
+            arrays. Outside of jit a number that changes from call to call compiles anew, unless it is an array.
         scene, samples, options, plan: as of `shade`.
         planes: what else belongs to each sample, as `SampleBuffer.in_storage_order` gives it: [..., slots].
 
@@ -125,6 +125,8 @@ def _terms(values: Float[Array, "... samples"], is_sample: Array | None, dtype: 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0, 1, 2))
 def _sum(function: Program, plan: Plan, axes: Axes, *operands: Any) -> Array:
+    if not is_traced(operands) and function.key is not None:
+        return _whole_in_jit(function, plan, *operands)
     return unaware(_whole, (function, plan), axes, *operands)
 
 
@@ -157,6 +159,7 @@ def _with_slope(
 
 
 _slope_in_jit = quick_jit(_with_slope)
+_whole_in_jit = quick_jit(_whole)
 
 
 def _backward(function: Program, plan: Plan, axes: Axes, slope: Any, cotangent: Array) -> Any:

@@ -35,9 +35,12 @@ class PlacedBackground:
     to_world: np.ndarray
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Document:
-    """What a Scene was made from. Rows of the scene's arrays point back to their nodes here."""
+    """What a Scene was made from. Rows of the scene's arrays point back to their nodes here.
+
+    One is equal to itself alone: scenes made of other nodes are other scenes to JAX, whatever numbers they hold.
+    """
 
     children: tuple[nodes.Node, ...]
     shapes: tuple[PlacedShape, ...]
@@ -50,5 +53,10 @@ class Document:
     spot: tuple[nodes.SpotLight, ...]
     textures: tuple[nodes.ImageTexture | nodes.PixelTexture, ...]
     fog: nodes.Fog | None
-    source: Any = dataclasses.field(default=None, repr=False)
+    source: Any = None
     """What the formats stage keeps of the file that the nodes were read from, to write the scene back into it."""
+
+    def __repr__(self) -> str:
+        # Short: JAX's messages about scenes that differ hold the documents of both.
+        lights = len(self.directional) + len(self.point) + len(self.spot)
+        return f"Document({len(self.shapes)} shapes, {lights} lights)"
