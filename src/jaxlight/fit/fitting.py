@@ -50,17 +50,23 @@ class Fit:
     scene: Scene
     """The scene with the fitted values."""
     exposure: np.ndarray
-    """The exposure of each view."""
+    """[views]: the exposure of each."""
     values: np.ndarray
-    """The free numbers, in the order of `labels`; whole textures are in the scene."""
+    """[numbers]: the free numbers, in the order of `labels`; whole textures are in the scene."""
     labels: tuple[str, ...]
+    """The path of each number, `Material[body].diffuse_color.r` for example."""
     loss: float
+    """Half the sum of the weighted squared residuals, priors included; of a robust loss what it makes of them."""
     rms: float
     """Root mean square of the weighted residuals, as `Step.rms`."""
     outcome: Outcome
+    """"converged", "max_steps", "stalled", "unseen", "nonfinite" or "interrupted"."""
     message: str
+    """The same in a sentence, with the steps and what is left."""
     history: tuple[Step, ...]
+    """Every evaluation, rejected trials too."""
     problem: Problem = dataclasses.field(repr=False)
+    """What was minimised, for `fitted_values`, `model_image` and `residual_image`."""
     description: Description = dataclasses.field(repr=False)
     state: FitState = dataclasses.field(repr=False)
 

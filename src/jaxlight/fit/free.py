@@ -20,7 +20,7 @@ from .parameters import FreeField, FreeLeaf, Parameters, TexelBlock, World
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Free:
-    """A field to fit, with more to say about it than its path.
+    """A field to fit, with more to say about it than its path. `fit` checks it, and its errors name the field.
 
     Args:
         where: path, function of the scene, or several of them.

@@ -28,6 +28,7 @@ class View:
 
     The picture's numbers must mean what `shade` returns: linear light where light adds up, or the plain numbers of an
     X3D browser; decode an sRGB photograph first. The loss is half the sum of weight x (exposure x shade - target)^2.
+    `fit` checks all of it, and its errors (ValueError) name the view and the field.
 
     Args:
         samples: the sample buffer (`rasterize`, `samples_from_maps`, `SampleBuffer.create`).

@@ -50,7 +50,10 @@ def decode(image: Any, transfer: Transfer = "srgb") -> Array:
 
 
 def linear_to_srgb(linear: Any) -> Array:
-    """12.92 x up to 0.0031308, then 1.055 x^(1 / 2.4) - 0.055 (IEC 61966-2-1); the straight part goes on below 0."""
+    """sRGB of linear light, numbers of any shape of which 1 is the brightest, as JAX's float type.
+
+    12.92 x up to 0.0031308, then 1.055 x^(1 / 2.4) - 0.055 (IEC 61966-2-1); the straight part goes on below 0.
+    """
     x = jnp.asarray(linear)
     is_straight = x <= 0.0031308
     curved = 1.055 * jnp.where(is_straight, 1.0, x) ** (1 / 2.4) - 0.055
@@ -58,7 +61,10 @@ def linear_to_srgb(linear: Any) -> Array:
 
 
 def srgb_to_linear(srgb: Any) -> Array:
-    """x / 12.92 up to 0.04045, then ((x + 0.055) / 1.055)^2.4 (IEC 61966-2-1); the straight part goes on below 0."""
+    """Linear light of sRGB, numbers of any shape of which 1 is the brightest, as JAX's float type.
+
+    x / 12.92 up to 0.04045, then ((x + 0.055) / 1.055)^2.4 (IEC 61966-2-1); the straight part goes on below 0.
+    """
     x = jnp.asarray(srgb)
     is_straight = x <= 0.04045
     curved = ((jnp.where(is_straight, 1.0, x) + 0.055) / 1.055) ** 2.4

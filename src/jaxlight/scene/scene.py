@@ -52,8 +52,8 @@ class Materials(eqx.Module):
 class DirectionalLights(eqx.Module):
     """The scene's DirectionalLight nodes, one row each (X3D 17.4.1); `direction` in the light's own frame, any length.
 
-    `to_world` maps vectors of the light's frame to the world; `on` [lights] and
-    `in_scope` [surfaces, lights] (which surfaces a light may reach) are static.
+    RGB `color` and `ambient_intensity` in [0, 1], `intensity` from 0 on. `to_world` maps vectors of the light's frame
+    to the world; `on` [lights] and `in_scope` [surfaces, lights] (which surfaces a light may reach) are static.
     """
 
     ambient_intensity: Float[Array, " lights"]
@@ -72,7 +72,10 @@ class DirectionalLights(eqx.Module):
 class PointLights(eqx.Module):
     """The scene's PointLight nodes, one row each (X3D 17.4.2); lengths and places in the light's own frame.
 
-    `to_world` maps the light's frame to the world; `to_local` is the inverse of its linear part.
+    RGB `color` and `ambient_intensity` in [0, 1]; `intensity`, `radius` and `attenuation` from 0 on. At a distance d
+    the light is divided by max(1, c0 + c1 d + c2 d^2), `attenuation` being (c0, c1, c2), and is 0 where d > `radius`,
+    which has no derivative. `to_world` maps the light's frame to the world; `to_local` is the inverse of its linear
+    part.
     """
 
     ambient_intensity: Float[Array, " lights"]
@@ -90,7 +93,11 @@ class PointLights(eqx.Module):
 
 
 class SpotLights(eqx.Module):
-    """The scene's SpotLight nodes, one row each (X3D 17.4.3); angles in radians; otherwise as PointLights."""
+    """The scene's SpotLight nodes, one row each (X3D 17.4.3); otherwise as PointLights.
+
+    `beam_width` and `cut_off_angle` in radians, in (0, pi / 2]: full strength within the one, nothing beyond the other;
+    `direction` of any length.
+    """
 
     ambient_intensity: Float[Array, " lights"]
     attenuation: Float[Array, "lights 3"]
@@ -110,7 +117,11 @@ class SpotLights(eqx.Module):
 
 
 class Fog(eqx.Module):
-    """The bound Fog node (X3D table 17.5); `to_local` maps world vectors to the fog's coordinate system."""
+    """The bound Fog node (X3D table 17.5); `to_local` maps world vectors to the fog's coordinate system.
+
+    RGB `color` in [0, 1]; from `visibility_range` on, a length in the fog's own coordinates, nothing else is seen; 0
+    is no fog.
+    """
 
     color: Float[Array, "3"]
     visibility_range: Float[Array, ""]
