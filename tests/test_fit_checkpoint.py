@@ -373,7 +373,7 @@ def test_the_checkpoint_of_another_fit_is_refused(half: Path, case: str) -> None
 
 
 def test_resuming_needs_a_checkpoint(tmp_path: Path, whole: Fit) -> None:
-    with pytest.raises(ValueError, match="resume: expected a checkpoint"):
+    with pytest.raises(ValueError, match="resume: give `checkpoint` too"):
         run(tmp_path, checkpoint=None, resume=True)
     with pytest.raises(ValueError, match=r"ends in \.npz"):
         run(tmp_path, checkpoint=tmp_path / "a.pickle")
