@@ -14,10 +14,11 @@ from benchmarks import gate, memory, report, yardstick
 from benchmarks import reference as reference_module
 from benchmarks.contenders.base import Operation
 from benchmarks.contenders.jaxlight_fit import JaxlightFit
-from benchmarks.entrants import PEERS, Entrant
+from benchmarks.entrants import JAXLIGHT, JAXLIGHT_BY_TILES, PEERS, Entrant
 from benchmarks.errors import color_errors, gradient_errors
 from benchmarks.fits import ENTRANTS as FITS
-from benchmarks.harness import Case, Plan, measure
+from benchmarks.harness import Case, Measurement, Plan, measure
+from benchmarks.peers import headline
 from benchmarks.profile import operations, stage_shares
 from benchmarks.reference import answer
 from benchmarks.worker import Cases
@@ -187,6 +188,16 @@ def test_the_gate_knows_directions_and_tolerances(tmp_path: Path) -> None:
         gate.compare([gate.Metric("other", 1.0, "lower")], path)
     with pytest.raises(ValueError, match="no baseline"):
         gate.compare([], tmp_path / "nothing.json")
+
+
+def test_gradients_are_judged_by_the_same_contender_whichever_run() -> None:
+    def names(*entrants: Entrant) -> set[str]:
+        cases = [Case(JAXLIGHT, "forward", SMALL), *(Case(own, "value_and_gradient", SMALL) for own in entrants)]
+        nothing = yardstick.Yardstick(None, (0,))
+        return {metric.name for metric in headline([Measurement(case, seconds=1.0) for case in cases], nothing)}
+
+    assert names(JAXLIGHT) == set()
+    assert names(JAXLIGHT, JAXLIGHT_BY_TILES) == {"gradient/3/over forward", "gradient/3/memory over inputs"}
 
 
 def test_a_new_baseline_keeps_what_was_not_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
