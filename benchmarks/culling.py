@@ -10,6 +10,7 @@ import dataclasses
 import sys
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import tyro
 
@@ -123,8 +124,8 @@ def mean_lists(work: Workload, arrays: Arrays, by_place: bool, operation: Operat
     arrangement = InRows if operation == "forward" else InLanes
     in_block = samples.group * samples.tile // samples.cluster
     side_by_side = np.sort(length.reshape(-1, in_block)).reshape(-1, min(arrangement.at_once(), in_block))
-    parts = -(-side_by_side.max(axis=1) // arrangement.entries)
-    return float(np.mean(length)), float(np.mean(parts * arrangement.entries))
+    steps = arrangement.steps(jnp.asarray(side_by_side.max(axis=1)))
+    return float(np.mean(length)), sum(float(np.mean(own.count)) * own.entries for own in steps)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 import jax
 import jax.numpy as jnp
@@ -24,15 +24,27 @@ from .unstored import Inlined, Stacked, is_unstored, stored
 from .world import WorldLights
 
 
-class Arrangement(Protocol):
-    """Of clusters in planes."""
+class Steps(NamedTuple):
+    """Some that follow one another through lists."""
 
     entries: int
-    """Of its list that each works through at once."""
+    """Of its list that each cluster works through in a step."""
+    first: Int[Array, "..."] | int
+    """Entry of the first step."""
+    count: Int[Array, "..."]
+
+
+class Arrangement(Protocol):
+    """Of clusters in planes."""
 
     @staticmethod
     def at_once() -> int:
         """How many clusters work through their lists side by side."""
+        ...
+
+    @staticmethod
+    def steps(longest: Int[Array, "..."]) -> list[Steps]:
+        """In which steps lists are worked through, of which the longest is so long."""
         ...
 
     @staticmethod
@@ -74,11 +86,13 @@ class Arrangement(Protocol):
 class InLanes:
     """Planes [samples of a cluster, clusters]."""
 
-    entries = 4
-
     @staticmethod
     def at_once() -> int:
         return sizes().derived_clusters
+
+    @staticmethod
+    def steps(longest: Array) -> list[Steps]:
+        return [Steps(4, 0, _quotient(longest + 3, 4))]
 
     @staticmethod
     def arranged(planes: Array, order: Array | None) -> Array:
@@ -120,11 +134,15 @@ class InLanes:
 class InRows:
     """Planes [clusters, samples of a cluster]; nothing is differentiated."""
 
-    entries = 8
-
     @staticmethod
     def at_once() -> int:
         return sizes().clusters
+
+    @staticmethod
+    def steps(longest: Array) -> list[Steps]:
+        # Of what is left at the end, half a step often holds all.
+        whole = _quotient(longest + 3, 8)
+        return [Steps(8, 0, whole), Steps(4, 8 * whole, (longest > 8 * whole).astype(longest.dtype))]
 
     @staticmethod
     def arranged(planes: Array, order: Array | None) -> Array:
@@ -173,6 +191,10 @@ def inverse(order: Int[Array, " clusters"]) -> Int[Array, " clusters"]:
     """Where each of the clusters went that are in this order."""
     count = jnp.arange(order.shape[0], dtype=order.dtype)
     return jnp.zeros_like(order).at[order].set(count, unique_indices=True, mode="promise_in_bounds")
+
+
+def _quotient(count: Int[Array, "..."], size: int) -> Int[Array, "..."]:
+    return lax.div(count, jnp.full_like(count, size))
 
 
 def _cut(planes: Any, first: Array, size: int, axis: int) -> Any:

@@ -13,13 +13,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial, reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
+from .clusters import Steps
 from .culled_lights import CulledLights, Form
 from .elementary import arctangent, power_of_two_above, reciprocal_of_power_of_two
 from .ordinary import for_all_mapped, ordinary_lights
@@ -226,19 +227,22 @@ def _received_from_listed(
     ordinary = stage(_all_ordinary, *lax.stop_gradient((lights, count, extent)))
     stage = dataclasses.replace(stage, ordinary=stage.ordinary & for_all_mapped(ordinary))
     length = _lengths(lists)
-    entries, at_once = stage.clusters.entries, stage.clusters.at_once()
+    at_once = stage.clusters.at_once()
 
     def of_some(first: Int[Array, ""] | None) -> Received:
         own_lists, own_length = lists, length
         if first is not None:
             own_lists, own_length = (lax.dynamic_slice_in_dim(own, first, at_once, -1) for own in (lists, length))
 
-        def with_entries(total: Received | None, number: Array) -> Received:
-            entry = (number * entries + jnp.arange(entries))[:, None]
+        def with_entries(steps: Steps, total: Received | None, number: Array) -> Received:
+            entry = (steps.first + number * steps.entries + jnp.arange(steps.entries))[:, None]
             row = stage(_listed_rows, own_lists, own_length, entry, lights.count)
             return with_light(stage, total, stage.clusters.listed(stage, lights, row), first)
 
-        return stage.sum(with_entries, None, _parts(jnp.max(own_length), entries))
+        total: Any = None
+        for steps in stage.clusters.steps(jnp.max(own_length)):
+            total = stage.sum(partial(with_entries, steps), total, steps.count)
+        return total
 
     (clusters,) = length.shape
     if clusters <= at_once:
