@@ -61,6 +61,29 @@ def test_value_and_derivatives_are_those_of_the_colours_of_all_samples() -> None
         assert float(jax.grad(lambda e: ours((free, e)))(moving[1])) == pytest.approx(float(expected[1][1]), rel=1e-11)
 
 
+def test_gradients_are_differentiated_again_in_either_mode() -> None:
+    with precision("float64") as dtype:
+        shape = nodes.Shape(appearance=nodes.Appearance(material=nodes.Material()), geometry=nodes.Sphere())
+        scene = Scene.from_nodes([shape, nodes.DirectionalLight(direction=(0.3, 0.1, -1))], dtype=dtype)
+        points = np.random.default_rng(6).normal(size=(60, 3))
+        samples = SampleBuffer.create(points, points, [0, 0, 6], dtype=dtype)
+        free, fixed = eqx.partition(scene, eqx.is_inexact_array)
+
+        def ours(free: Scene) -> jax.Array:
+            return sum_over_samples(lambda color: jnp.sum(color[:3] ** 3, axis=0), eqx.combine(free, fixed), samples)
+
+        def wanted(free: Scene) -> jax.Array:
+            return jnp.sum(shade(eqx.combine(free, fixed), samples)[:, :3] ** 3)
+
+        direction = jax.tree.map(lambda leaf: leaf + 0.5, free)
+        expected = jax.jit(lambda free: jax.jvp(jax.grad(wanted), (free,), (direction,))[1])(free)
+        assert max(float(jnp.max(jnp.abs(leaf), initial=0.0)) for leaf in jax.tree.leaves(expected)) > 1
+        forward = jax.jit(lambda free: jax.jvp(jax.grad(ours), (free,), (direction,))[1])(free)
+        assert_leaves_close(forward, expected, 1e-11)
+        reverse = jax.jit(lambda free: jax.vjp(jax.grad(ours), free)[1](direction)[0])(free)
+        assert_leaves_close(reverse, expected, 1e-11)
+
+
 def test_derivatives_by_samples_and_textures_are_those_of_the_whole_image() -> None:
     scene, samples = colored_bodies(2, 0)
     weights = samples.in_storage_order(np.random.default_rng(1).normal(size=(4, samples.count)).astype(np.float32))
