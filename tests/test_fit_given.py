@@ -62,6 +62,13 @@ def test_floats_that_look_like_levels_are_told(level: float) -> None:
     assert [str(one.message).partition(";")[0] for one in told] == expected
 
 
+def test_random_starts_of_which_nothing_is_drawn_are_told() -> None:
+    told = "starts: all 3 are the same, since only location, .* and visibility_range are drawn at random, and none is free"
+    with precision("float32") as dtype, pytest.warns(UserWarning, match=told) as warned:
+        fit(sphere_scene(dtype=dtype), view_of(dtype), FREE, starts=3, max_steps=1)
+    assert [one.filename for one in warned] == [__file__]
+
+
 def test_encode_refuses_a_list_of_levels() -> None:
     with pytest.raises(ValueError, match="image: got int32 above 1"):
         encode([0, 128, 255])

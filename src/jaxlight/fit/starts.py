@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -36,7 +37,8 @@ def random_starts(problem: Problem, fields: list[FreeField], count: int, seed: i
     """[count, numbers]: the start itself, then starts with the non-linear fields drawn anew.
 
     Lights go to random places on the side that the viewers see, one to four times as far from the middle of the
-    samples as those reach; angles and exponents anywhere in their bounds; other fields keep their start value.
+    samples as those reach; angles and exponents anywhere in their bounds; other fields keep their start value. If there
+    are no others, that is told.
     """
     count = whole("starts", count, at_least=1)
     random = np.random.default_rng(whole("seed", seed, at_least=0))
@@ -44,10 +46,14 @@ def random_starts(problem: Problem, fields: list[FreeField], count: int, seed: i
     start, lower, upper = (np.asarray(a, np.float64) for a in (parameters.start, parameters.lower, parameters.upper))
     middle, reach, towards = _surroundings(problem)
     starts = np.repeat(start[None], count, axis=0)
-    for field in fields:
-        kind = None if field.leaf is None else field.leaf.field
-        if kind not in _SCATTERED:
-            continue
+    scattered = [(field, field.leaf.field) for field in fields if field.leaf and field.leaf.field in _SCATTERED]
+    if not scattered:
+        warnings.warn(
+            f"starts: all {count} are the same, since only {', '.join(_SCATTERED[:-1])} and {_SCATTERED[-1]} are drawn "
+            "at random, and none is free",
+            stacklevel=4,
+        )
+    for field, kind in scattered:
         own, rows = field.numbers, count - 1
         if kind in ("location", "direction"):
             vectors = _hemisphere(random, rows, towards)
