@@ -63,7 +63,7 @@ def test_floats_that_look_like_levels_are_told(level: float) -> None:
 
 
 def test_random_starts_of_which_nothing_is_drawn_are_told() -> None:
-    told = "starts: all 3 are the same, since only location, .* and visibility_range are drawn at random, and none is free"
+    told = "starts: all 3 are the same, since only location, .* and visibility_range are drawn at random"
     with precision("float32") as dtype, pytest.warns(UserWarning, match=told) as warned:
         fit(sphere_scene(dtype=dtype), view_of(dtype), FREE, starts=3, max_steps=1)
     assert [one.filename for one in warned] == [__file__]

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..scene import paths
-from ..scene.paths import Range
+from ..scene.ranges import POSITIVE, Range
 from ..scene.scene import Scene
 from .parameters import World
 
@@ -105,7 +105,7 @@ def choose(
     for path in exposures:
         for row in _exposure_rows(path, view_names):
             name = _exposure_path(view_names, row)
-            chosen.append(Chosen(name, name, None, row, 0, row, paths.POSITIVE))
+            chosen.append(Chosen(name, name, None, row, 0, row, POSITIVE))
     return chosen, textures
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from ..formats.limits import as_path
 from ..lighting import LightingOptions
 from ..promotion import usual_promotion
-from ..scene.fields import non_negative, whole
+from ..scene.fields import reach, whole
 from ..scene.scene import Scene
 from ..tracing import refuse_inside
 from .checkpoint import Checkpoint, CheckpointWarning
@@ -194,7 +194,7 @@ def fit(
     whole("starts", starts, at_least=1)
     whole("max_steps", max_steps, at_least=1)
     whole("seed", seed, at_least=0)
-    non_negative("checkpoint_seconds", checkpoint_seconds, infinite=True)
+    reach("checkpoint_seconds", checkpoint_seconds)
     log = None if log is None else as_path("log", log)
     checkpoint = None if checkpoint is None else as_path("checkpoint", checkpoint)
     if log is not None and log == checkpoint:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..scene import paths
-from ..scene.paths import Range
+from ..scene.ranges import Range
 from ..scene.scene import Scene
 
 

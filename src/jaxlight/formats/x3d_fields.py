@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..scene import nodes
+from ..scene.ranges import SPOT_ANGLE, allowed_range
 from . import x3d_values as values
 from .x3d_values import FieldType
 
@@ -27,11 +28,6 @@ _BY_ANNOTATION: dict[Any, FieldType] = {
     tuple[str, ...]: values.MFString,
 }
 
-_UNIT_INTERVAL = {
-    "ambient_intensity", "color", "diffuse_color", "emissive_color", "shininess", "sky_color", "specular_color",
-    "transparency",
-}  # fmt: skip
-_NON_NEGATIVE = {"attenuation", "crease_angle", "intensity", "visibility_range"}
 _SMALLEST_CONE = 1e-6
 """Radians. Files write a beamWidth of 0; the range is (0, pi/2]."""
 
@@ -129,13 +125,14 @@ def _type(kind: type[nodes.Node], name: str, hint: Any, default: Any) -> FieldTy
 
 
 def _range(kind: type[nodes.Node], name: str) -> tuple[float, float]:
-    if name in _UNIT_INTERVAL:
-        return 0.0, 1.0
-    if name in ("beam_width", "cut_off_angle"):
+    if name == "visibility_range":
+        return 0.0, math.inf  # a node takes any number: none has a fog (reading 5)
+    allowed = allowed_range(kind, name)
+    if allowed == SPOT_ANGLE:
         return _SMALLEST_CONE, math.pi / 2 + 1e-4  # the node takes a rounded pi/2 for pi/2
-    if name in _NON_NEGATIVE or (name == "radius" and kind in (nodes.PointLight, nodes.SpotLight)):
-        return 0.0, math.inf
-    return -math.inf, math.inf
+    if name == "image" or allowed.open_below:
+        return -math.inf, math.inf
+    return allowed.lower, allowed.upper
 
 
 def _camel_case(name: str) -> str:

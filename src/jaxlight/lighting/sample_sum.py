@@ -51,8 +51,8 @@ def sum_over_samples(
     """The sum over all samples of function(color, *planes), a loss for example; its gradient is taken tile by tile.
 
     `jax.grad` of it takes 60 to 75 % of what it takes of a loss of the colours that `shade` gives, and stores no image.
-    Reverse mode only, but its gradient may be differentiated again in either mode (`jax.hessian`). Derivatives by samples,
-    rows or textures are taken of the whole image.
+    Reverse mode only, but its gradient may be differentiated again in either mode (`jax.hessian`). Derivatives by
+    samples, rows or textures are taken of the whole image.
 
     Args:
         function: function(color, *planes) of n samples, each by itself: color [4, n], red, green, blue and alpha as

@@ -86,9 +86,14 @@ def unit_interval(where: str, value: Any) -> float:
     return number(where, value, at_least=0.0, at_most=1.0)
 
 
-def non_negative(where: str, value: Any, *, infinite: bool = False) -> float:
+def non_negative(where: str, value: Any) -> float:
     """One number >= 0."""
-    return number(where, value, at_least=0.0, infinite=infinite)
+    return number(where, value, at_least=0.0)
+
+
+def reach(where: str, value: Any) -> float:
+    """One number >= 0, or infinity."""
+    return number(where, value, at_least=0.0, infinite=True)
 
 
 def positive(where: str, value: Any) -> float:
@@ -209,6 +214,16 @@ def vector3(
     return x, y, z
 
 
+def factors(where: str, value: Any) -> tuple[float, float, float]:
+    """Three finite numbers >= 0."""
+    return vector3(where, value, at_least=0.0)
+
+
+def lengths(where: str, value: Any) -> tuple[float, float, float]:
+    """Three finite numbers > 0."""
+    return vector3(where, value, above=0.0)
+
+
 def direction(where: str, value: Any) -> tuple[float, float, float]:
     """Three finite numbers; need not have length 1 (it is normalised where it is used)."""
     return vector3(where, value)
@@ -231,8 +246,17 @@ def axis_angle(where: str, value: Any) -> tuple[float, float, float, float]:
     return x, y, z, angle
 
 
-def color_rows(where: str, value: Any, columns: int) -> np.ndarray:
-    """Colours [n, columns] in [0, 1]."""
+def rgb_rows(where: str, value: Any) -> np.ndarray:
+    """Colours [n, 3] in [0, 1]."""
+    return _color_rows(where, value, 3)
+
+
+def rgba_rows(where: str, value: Any) -> np.ndarray:
+    """Colours [n, 4] in [0, 1]."""
+    return _color_rows(where, value, 4)
+
+
+def _color_rows(where: str, value: Any, columns: int) -> np.ndarray:
     allowed = f"colours of shape [n, {columns}] in [0, 1]"
     array = _rows(where, value, columns, allowed)
     if np.any((array < 0) | (array > 1)):

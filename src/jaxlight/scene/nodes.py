@@ -20,13 +20,17 @@ from .fields import (
     boolean,
     choice,
     color,
-    color_rows,
     direction,
+    factors,
     index_list,
     integer,
+    lengths,
     non_negative,
     number,
     positive,
+    reach,
+    rgb_rows,
+    rgba_rows,
     rising_angles,
     spot_angle,
     string,
@@ -228,7 +232,7 @@ class Shape(Node):
 class Box(Node):
     """A box centred at the origin (X3D 13.3.1); `size` along x, y, z."""
 
-    size: Vec3 = _field((2.0, 2.0, 2.0), lambda where, value: vector3(where, value, above=0.0))
+    size: Vec3 = _field((2.0, 2.0, 2.0), lengths)
     solid: bool = _field(True, boolean)
     name: str = _field("", string)
 
@@ -287,7 +291,7 @@ class Normal(Node):
 class Color(Node):
     """RGB colours [n, 3] in [0, 1] (X3D Rendering)."""
 
-    color: np.ndarray = _field((), lambda where, value: color_rows(where, value, 3))
+    color: np.ndarray = _field((), rgb_rows)
     name: str = _field("", string)
 
 
@@ -295,7 +299,7 @@ class Color(Node):
 class ColorRGBA(Node):
     """RGBA colours [n, 4] in [0, 1] (X3D Rendering)."""
 
-    color: np.ndarray = _field((), lambda where, value: color_rows(where, value, 4))
+    color: np.ndarray = _field((), rgba_rows)
     name: str = _field("", string)
 
 
@@ -391,13 +395,13 @@ class PointLight(Node):
     """Light from a point in all directions (X3D 17.4.2). `radius` and `location` in the light's coordinate system."""
 
     ambient_intensity: float = _field(0.0, unit_interval)
-    attenuation: Vec3 = _field((1.0, 0.0, 0.0), lambda where, value: vector3(where, value, at_least=0.0))
+    attenuation: Vec3 = _field((1.0, 0.0, 0.0), factors)
     color: Vec3 = _field((1.0, 1.0, 1.0), color)
     global_: bool = _field(True, boolean)
     intensity: float = _field(1.0, non_negative)
     location: Vec3 = _field((0.0, 0.0, 0.0), vector3)
     on: bool = _field(True, boolean)
-    radius: float = _field(100.0, lambda where, value: non_negative(where, value, infinite=True))
+    radius: float = _field(100.0, reach)
     name: str = _field("", string)
 
 
@@ -406,7 +410,7 @@ class SpotLight(Node):
     """Light from a point into a cone (X3D 17.4.3). Angles in radians, in (0, pi/2]."""
 
     ambient_intensity: float = _field(0.0, unit_interval)
-    attenuation: Vec3 = _field((1.0, 0.0, 0.0), lambda where, value: vector3(where, value, at_least=0.0))
+    attenuation: Vec3 = _field((1.0, 0.0, 0.0), factors)
     beam_width: float = _field(math.pi / 2, spot_angle)
     color: Vec3 = _field((1.0, 1.0, 1.0), color)
     cut_off_angle: float = _field(math.pi / 4, spot_angle)
@@ -415,7 +419,7 @@ class SpotLight(Node):
     intensity: float = _field(1.0, non_negative)
     location: Vec3 = _field((0.0, 0.0, 0.0), vector3)
     on: bool = _field(True, boolean)
-    radius: float = _field(100.0, lambda where, value: non_negative(where, value, infinite=True))
+    radius: float = _field(100.0, reach)
     name: str = _field("", string)
 
 
@@ -440,7 +444,7 @@ class Background(Node):
     """
 
     sky_angle: tuple[float, ...] = _field((), rising_angles)
-    sky_color: np.ndarray = _field(((0.0, 0.0, 0.0),), lambda where, value: color_rows(where, value, 3))
+    sky_color: np.ndarray = _field(((0.0, 0.0, 0.0),), rgb_rows)
     name: str = _field("", string)
 
     def __post_init__(self) -> None:

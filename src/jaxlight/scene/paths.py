@@ -21,56 +21,37 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
+from . import nodes
+from .ranges import POSITIVE, Range, allowed_range
 from .scene import Scene
 
 Path = str | Callable[[Scene], Any]
 
 
-class Range(NamedTuple):
-    """The values that the specification allows a field: [lower, upper], or (lower, upper] when `open_below`."""
-
-    lower: float = -math.inf
-    upper: float = math.inf
-    open_below: bool = False
-
-    def __str__(self) -> str:
-        left = "(" if self.open_below or self.lower == -math.inf else "["
-        right = ")" if self.upper == math.inf else "]"
-        upper = "pi/2" if self.upper == math.pi / 2 else f"{self.upper:g}"
-        return f"{left}{self.lower:g}, {upper}{right}"
+class _Kind(NamedTuple):
+    attribute: str
+    """Where a Scene keeps its nodes."""
+    node: type[nodes.Node]
+    fields: tuple[str, ...]
+    """Those that are numbers of a Scene."""
 
 
-UNIT, NON_NEGATIVE, POSITIVE, ANY = Range(0.0, 1.0), Range(0.0), Range(0.0, open_below=True), Range()
-SPOT_ANGLE = Range(0.0, math.pi / 2, open_below=True)
-
-_LIGHT = {"ambient_intensity": UNIT, "color": UNIT, "intensity": NON_NEGATIVE}
-_PLACED = {"attenuation": NON_NEGATIVE, "location": ANY, "radius": NON_NEGATIVE}
-_KINDS: dict[str, tuple[str, dict[str, Range]]] = {
-    "Material": (
+_LIGHT = ("ambient_intensity", "color", "intensity")
+_PLACED = ("attenuation", "location", "radius")
+_KINDS: dict[str, _Kind] = {
+    "Material": _Kind(
         "materials",
-        dict.fromkeys(
-            (
-                "ambient_intensity",
-                "diffuse_color",
-                "emissive_color",
-                "shininess",
-                "specular_color",
-                "transparency",
-            ),
-            UNIT,
-        ),
+        nodes.Material,
+        ("ambient_intensity", "diffuse_color", "emissive_color", "shininess", "specular_color", "transparency"),
     ),
-    "DirectionalLight": ("directional", {**_LIGHT, "direction": ANY}),
-    "PointLight": ("point", {**_LIGHT, **_PLACED}),
-    "SpotLight": (
-        "spot",
-        {**_LIGHT, **_PLACED, "beam_width": SPOT_ANGLE, "cut_off_angle": SPOT_ANGLE, "direction": ANY},
-    ),
-    "Fog": ("fog", {"color": UNIT, "visibility_range": POSITIVE}),
-    "Texture": ("textures", {"image": UNIT}),
+    "DirectionalLight": _Kind("directional", nodes.DirectionalLight, (*_LIGHT, "direction")),
+    "PointLight": _Kind("point", nodes.PointLight, (*_LIGHT, *_PLACED)),
+    "SpotLight": _Kind("spot", nodes.SpotLight, (*_LIGHT, *_PLACED, "beam_width", "cut_off_angle", "direction")),
+    "Fog": _Kind("fog", nodes.Fog, ("color", "visibility_range")),
+    "Texture": _Kind("textures", nodes.ImageTexture, ("image",)),
 }
 _ALIASES = {"ImageTexture": "Texture", "PixelTexture": "Texture"}
-ATTRIBUTES = {kind: attribute for kind, (attribute, _) in _KINDS.items()}
+ATTRIBUTES = {name: kind.attribute for name, kind in _KINDS.items()}
 """Where a Scene keeps the nodes of each kind."""
 LIGHT_KINDS = ("DirectionalLight", "PointLight", "SpotLight")
 LIGHT_ATTRIBUTES = tuple(ATTRIBUTES[kind] for kind in LIGHT_KINDS)
@@ -101,8 +82,10 @@ class Leaf(NamedTuple):
 
     @property
     def range(self) -> Range:
-        """The values that the specification allows."""
-        return _KINDS[self.kind][1][self.field]
+        """The values that the specification allows; of a fog the ranges at which there is one (reading 5)."""
+        if self.field == "visibility_range":
+            return POSITIVE
+        return allowed_range(_KINDS[self.kind].node, self.field)
 
 
 class Field(NamedTuple):
@@ -139,12 +122,12 @@ class Selection(NamedTuple):
 def fields(scene: Scene) -> list[Field]:
     """Every field of the scene that can be fitted, one entry a node and field, in the order of the specification."""
     found = []
-    for kind, (attribute, ranges) in _KINDS.items():
+    for kind, (attribute, _, names) in _KINDS.items():
         owner = getattr(scene, attribute)
         if owner is None:
             continue
         for row, label in enumerate(_row_labels(kind, owner)):
-            for name in ranges:
+            for name in names:
                 leaf = Leaf(kind, name, row if kind == "Texture" else -1)
                 index = () if kind in ("Fog", "Texture") else (row,)
                 found.append(Field(f"{label}.{name}", leaf, index))
@@ -195,7 +178,7 @@ def light_rows(scene: Scene, paths: str | Iterable[str]) -> dict[str, np.ndarray
         kind, row, field, _ = _parse(path if "." in path.rpartition("]")[2] else f"{path}.*")
         if kind not in LIGHT_KINDS or field != "*":
             raise ValueError(f"lights: expected a light such as 'PointLight[0]', got {path!r}{_lights_there(scene)}")
-        owner = getattr(scene, _KINDS[kind][0])
+        owner = getattr(scene, ATTRIBUTES[kind])
         matching = [] if owner is None else _matching_rows(scene, path, kind, row)
         if not matching:
             raise ValueError(f"lights: the scene has no {path!r}{_lights_there(scene)}")
@@ -207,8 +190,8 @@ def _lights_there(scene: Scene) -> str:
     there = [
         label
         for kind in LIGHT_KINDS
-        if getattr(scene, _KINDS[kind][0]) is not None
-        for label in _row_labels(kind, getattr(scene, _KINDS[kind][0]))
+        if getattr(scene, ATTRIBUTES[kind]) is not None
+        for label in _row_labels(kind, getattr(scene, ATTRIBUTES[kind]))
     ]
     return f"; it has {', '.join(there[:8]) or 'no lights'}"
 
@@ -278,10 +261,10 @@ def _matching_rows(scene: Scene, path: str, kind: str, row: str | None) -> list[
 
 def _by_name(scene: Scene, path: str) -> list[tuple[Leaf, np.ndarray]]:
     kind, row, field, part = _parse(path)
-    attribute, ranges = _KINDS.get(kind, ("", {}))
-    owner = getattr(scene, attribute) if attribute else None
+    known = _KINDS.get(kind)
+    owner = None if known is None else getattr(scene, known.attribute)
     rows = [] if owner is None else _matching_rows(scene, path, kind, row)
-    names = [name for name in ranges if fnmatch.fnmatchcase(name, field)]
+    names = [name for name in known.fields if fnmatch.fnmatchcase(name, field)] if known else []
     if not rows or not names:
         raise _unknown(scene, path)
     found = []
