@@ -1,4 +1,4 @@
-"""All benchmarks within one time bound: `python -m benchmarks --minutes 60 --yardstick PATH`."""
+"""The benchmarks of speed within one time bound: `python -m benchmarks --minutes 60 --yardstick PATH`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SHARES = {
 
 @dataclasses.dataclass
 class Options:
-    """Runs every benchmark, one after the other; the exit status is the worst of theirs."""
+    """Runs the benchmarks of speed one after the other; the exit status is the worst of theirs."""
 
     minutes: float = 60.0
     """Time bound for all of it."""

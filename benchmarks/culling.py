@@ -88,7 +88,7 @@ def main() -> int:
 def _row(m: Measurement, ratio: float | None) -> list[Any]:
     arrays = make_arrays(m.case.work)
     by_place = m.case.entrant == JAXLIGHT
-    lists = mean_lists(m.case.work, arrays, by_place, m.case.operation) if m.case.work.cover else (None, None)
+    lists = mean_lists(arrays, by_place, m.case.operation) if m.case.work.cover else (None, None)
     return [
         m.case.operation,
         m.case.work.lights,
@@ -110,7 +110,7 @@ def mean_reach(work: Workload, arrays: Arrays) -> float:
     return float(np.mean(np.sum(np.sum(offset**2, axis=1) <= arrays.lights["radius"][:, None] ** 2, axis=0)))
 
 
-def mean_lists(work: Workload, arrays: Arrays, by_place: bool, operation: Operation) -> tuple[float, float]:
+def mean_lists(arrays: Arrays, by_place: bool, operation: Operation) -> tuple[float, float]:
     """How many lights a cluster lists on average, and how many entries of lists it works through: those of the longest
     of the lists side by side, some at a time."""
     samples = samples_of(arrays, np.float32, by_place=by_place)

@@ -77,7 +77,7 @@ class Case(NamedTuple):
     """Holds the truth; the target is its picture."""
     work: Workload
 
-    def problem(self, start: dict[str, np.ndarray], free: list[Any], noise: float = 0.0, seed: int = 0) -> Any:
+    def problem(self, start: dict[str, np.ndarray], noise: float = 0.0, seed: int = 0) -> Any:
         """(scene at the start, view) in the precision that is switched on."""
         dtype = np.dtype(float) if jax.config.jax_enable_x64 else np.dtype(np.float32)
         target = self.arrays.target.T
@@ -97,7 +97,7 @@ def case(quick: bool, **changes: Any) -> Case:
 
 def truth_of(one: Case, free: list[Any]) -> np.ndarray:
     """The true values of the free numbers."""
-    scene, view = one.problem({}, free)
+    scene, view = one.problem({})
     return np.asarray(make_problem(scene, view, free)[0].parameters.start)
 
 
@@ -123,7 +123,7 @@ def steps(options: Options) -> str:
     for precision in ("float32", "float64"):
         with jax.enable_x64(precision == "float64"):
             one = case(options.quick)
-            scene, view = one.problem(START, FREE)
+            scene, view = one.problem(START)
             found, first, warm = seconds_of(lambda scene=scene, view=view: fit(scene, view, FREE))
             error = relative_error(found, truth_of(one, FREE))
         rows.append([precision, found.accepted_steps, len(found.history) - 1, error, warm, first - warm, found.outcome])
@@ -192,7 +192,7 @@ def bounds(options: Options) -> str:
                 taken, errors = [], []
                 for changes in (inside, on_bound):
                     one = case(options.quick, **changes)
-                    scene, view = one.problem(start, free)
+                    scene, view = one.problem(start)
                     found = fit(scene, view, free)
                     # Nor does anything tell the highlight's exponent.
                     known = np.array([not (name == "specular 0" and "shininess" in label) for label in found.labels])
@@ -216,7 +216,7 @@ def starts(options: Options) -> str:
             towards = random.normal(size=(count, 3))
             towards[:, 2] = np.abs(towards[:, 2])
             drawn[:, 5:8] = towards * random.uniform(2, 6, (count, 1)) / np.linalg.norm(towards, axis=1, keepdims=True)
-            problem, description = make_problem(*one.problem({}, FREE), FREE)
+            problem, description = make_problem(*one.problem({}), FREE)
             solver, reached = make_solver(problem), []
             for start in drawn:
                 state = begin(problem, solver, start, description.part.every)
@@ -237,7 +237,7 @@ def intervals(options: Options) -> str:
         arrays = with_values(make_arrays(small), TRUTH)
         one = Case(arrays._replace(target=answer(small, arrays, gradient=False).colors), small)
         truth = truth_of(one, FREE)
-        problem, description = make_problem(*one.problem({}, FREE), FREE)
+        problem, description = make_problem(*one.problem({}), FREE)
         solver, random = make_solver(problem), np.random.default_rng(options.seed)
         covered, ended = [], 0
         clean = np.asarray(problem.views[0].target)

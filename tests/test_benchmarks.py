@@ -120,7 +120,7 @@ def test_errors_are_counted_in_units_in_the_last_place() -> None:
     assert statistics.median_ulp == statistics.high_ulp == statistics.largest_ulp == 3
 
 
-def test_the_harness_measures_and_says_why_not(tmp_path: Path) -> None:
+def test_the_harness_measures_and_says_why_not() -> None:
     naive = next(entrant for entrant in PEERS if entrant.label == "naive JAX")
     absent = Entrant("absent", "nothing:Nothing", ("no_such_package",))
     broken = Entrant("broken", "nothing:Nothing")

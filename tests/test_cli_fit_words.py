@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fit_scenes import sphere_picture
-from jaxlight import Scene, nodes, write_image
+from jaxlight import LightingOptions, Scene, nodes, write_image
 from jaxlight.cli import main
+from jaxlight.cli.options import Reading
 from jaxlight.cli.start_values import with_start_values
 
 SCENE = """<X3D version="3.3"><Scene>
@@ -124,3 +126,11 @@ def test_start_values_are_counted_node_by_node() -> None:
     ):
         with pytest.raises(ValueError, match=f"expected 1.* number.*, got {len(given)}"):
             with_start_values(scene, path, given)
+
+
+def test_readings_are_the_options_of_the_library_with_its_defaults() -> None:
+    fields = {field.name: (field.type, field.default) for field in dataclasses.fields(Reading)}
+    assert fields == {field.name: (field.type, field.default) for field in dataclasses.fields(LightingOptions)}
+    changed = Reading(texture_mode="modulate", fog_unlit=False, specular_gate=True, support_level=1, accuracy="fast")
+    for field in dataclasses.fields(Reading):
+        assert getattr(changed, field.name) == getattr(changed.lighting_options(), field.name) != field.default

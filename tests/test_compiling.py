@@ -20,8 +20,8 @@ import pytest
 
 from jaxlight import SampleBuffer, Scene, compiler_options, nodes
 from jaxlight.lighting import compiling, one_tile, shade_tiles
+from jaxlight.lighting.prepared import LANES
 from jaxlight.lighting.stages import LOOPS_ARE_HOISTED, Stage
-from jaxlight.raster.samples import LANES
 
 
 @pytest.fixture

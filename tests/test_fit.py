@@ -95,6 +95,7 @@ def test_the_result_holds_the_scene_the_history_and_the_residuals() -> None:
         assert float(result.scene.point.intensity[0]) == float(scene.point.intensity[0])
         assert [step.step for step in result.history] == list(range(len(result.history)))
         accepted = [step.loss for step in result.history if step.accepted]
+        assert len(accepted) > 2
         assert all(b <= a * (1 + 1e-5) for a, b in itertools.pairwise(accepted))
         picture = result.residual_image()
         assert picture.shape == (SIZE, SIZE, 3)

@@ -57,7 +57,9 @@ def test_many_short_runs_are_all_evaluated() -> None:
 @pytest.mark.parametrize("every", [1, 4, 7, 1000])
 def test_a_part_takes_tiles_from_every_run(every: int) -> None:
     samples = sphere_samples(SIZE, tile=TILE)
-    for run in surface_runs(start(np.float32).surfaces, samples):
+    runs = surface_runs(start(np.float32).surfaces, samples)
+    assert runs
+    for run in runs:
         first, count = (int(number) for number in part.tiles_of_part(run, every))
         chosen = range(first, first + count * every, every)
         assert chosen and run.start <= chosen[0] and chosen[-1] < run.stop
@@ -133,7 +135,7 @@ def test_a_part_that_misses_the_highlight_is_not_believed() -> None:
 
 
 @pytest.mark.usefixtures("small_parts")
-def test_the_most_steps_count_those_with_a_part(tmp_path: Path) -> None:
+def test_the_most_steps_count_those_with_a_part() -> None:
     result = fit(start(np.float32), view(np.float32), FREE, max_steps=3)
     assert result.outcome == "max_steps" and result.state.tried == 3
     assert [step.step for step in result.history] == [0, 1, 2, 3, 4]

@@ -15,6 +15,7 @@ from jaxlight.lighting.plan import make_plan
 from jaxlight.lighting.prepared import Prepared, prepare
 from jaxlight.raster import SampleBuffer
 from jaxlight.scene import Scene, nodes
+from leaves import same_leaves
 
 
 def prepared_scene(materials: int) -> Prepared:
@@ -50,11 +51,11 @@ def test_planes_come_out_of_the_array_as_they_went_in(materials: int) -> None:
     assert packed.others.lights[2] is not None and packed.others.lights[2].to_local is not None
     # Of several materials a tile spreads its own.
     assert (packed.others.materials.diffuse_color is None) == (materials == 1)
-    assert all(map(np.array_equal, *map(jax.tree.leaves, (lanes.unpacked(packed, prepared), prepared))))
+    assert same_leaves(lanes.unpacked(packed, prepared), prepared)
     wide = lanes.unpacked(lanes.spread(packed, prepared.lanes), prepared)
     assert prepared.lanes > 1 and wide.fog.color.shape == (3, 1, prepared.lanes)
     assert wide.materials.shininess.shape == ((1, prepared.lanes) if materials == 1 else (materials, 1, 1))
-    assert all(map(np.array_equal, *map(jax.tree.leaves, (wide, lanes.on_all_lanes(prepared)))))
+    assert same_leaves(wide, lanes.on_all_lanes(prepared))
 
 
 @pytest.mark.parametrize("materials", [1, 3])

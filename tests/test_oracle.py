@@ -14,7 +14,6 @@ from oracle.equation import attenuation, brightest, shade, spot_factor
 # The sample looks up the z axis; the viewer and, by default, the light stand on it.
 UP = Sample(position=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 2.0), eye=(0.0, 0.0, 10.0))
 ABOVE = Light(location=(0.0, 0.0, 4.0))
-MODULATE = Options(texture_mode="modulate")
 RGB, RGBA = (0.5, 0.25, 1.0), (0.5, 0.25, 1.0, 0.75)
 # I_T = 0.5 or I_Trgb = (0.2, 0.4, 0.6), A_T = 0.8, by the number of components.
 TEXELS: dict[int, Any] = {0: None, 1: (0.5,), 2: (0.5, 0.8), 3: (0.2, 0.4, 0.6), 4: (0.2, 0.4, 0.6, 0.8)}

@@ -27,4 +27,5 @@ def test_the_package_refuses_to_install_beside_them() -> None:
     from importlib.metadata import requires
 
     (jax_requirement,) = [line for line in requires("jaxlight") or [] if line.startswith("jax") and "!=" in line]
+    assert release.WRONG_RELEASES
     assert all(f"!={version}" in jax_requirement for version in release.WRONG_RELEASES)

@@ -194,3 +194,17 @@ def test_scenes_made_anew_are_one_program_without_their_nodes() -> None:
     assert found == [float(brightness(scene)) for scene in made] and found[0] != found[1]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *bare)
     np.testing.assert_allclose(jax.vmap(brightness)(stacked), found, rtol=1e-6)
+
+
+def test_lines_of_a_shape_with_a_texture_need_no_texels() -> None:
+    """They are unlit, in the material's emissive colour (reading 24); the shape itself is refused without."""
+    shown = nodes.Appearance(
+        material=nodes.Material(emissive_color=(0.2, 0.4, 0.6)),
+        texture=nodes.PixelTexture(image=np.full((1, 1, 4), 0.5)),
+    )
+    scene = Scene.from_nodes(nodes.Shape(appearance=shown, geometry=nodes.Sphere()))
+    with pytest.raises(ValueError, match="surface 0 has a texture, but the buffer has no texel_index and texel_weight"):
+        shade(scene, SAMPLE)
+    (surface,) = scene.surfaces
+    lines = dataclasses.replace(scene, surfaces=(surface._replace(lighting="emissive"),))
+    np.testing.assert_allclose(shade(lines, SAMPLE), [[0.2, 0.4, 0.6, 1.0]], rtol=1e-6)

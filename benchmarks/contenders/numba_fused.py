@@ -206,6 +206,5 @@ class NumbaFused(Contender):
         value, g_mat, g_lights = result
         blocks = [0, slice(1, 4), slice(4, 7), 7, slice(8, 11)]
         fields = {f"material.{name}": g_mat[block] for name, block in zip(MATERIAL_FIELDS, blocks, strict=True)}
-        blocks = [0, slice(1, 4), slice(4, 7), 7, slice(8, 11)]
         fields |= {f"lights.{name}": g_lights[:, b] for name, b in zip(LIGHT_FIELDS[:5], blocks, strict=True)}
         return ValueAndGradient(value, {name: fields[name] for name in self._free})

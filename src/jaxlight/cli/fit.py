@@ -50,7 +50,7 @@ class Fit:
     """What the pictures' numbers are: those of the equation, or sRGB of linear light (photographs)."""
     saturated: float | None = None
     """Numbers from here on, as they are after --decode, are only known to be at least this (default: 1 for pictures of
-    8 or 16 bits; inf: none).""" ""
+    8 or 16 bits; inf: none)."""
     samples: int = 1
     """Samples a pixel; pixels where shapes meet are then compared as they are covered. Those at the rim of what is
     seen are left out: only a problem file says what is behind them (`background`)."""

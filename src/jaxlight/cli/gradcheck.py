@@ -11,6 +11,7 @@ from .cameras import camera_of
 from .files import existing
 from .options import Precision, Reading, ScenePath, SharedReading, use_precision
 from .progress import stages
+from .status import FAILURE, SUCCESS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,4 +61,4 @@ class Gradcheck:
                 options=self.reading.lighting_options(),
             )
         print(check)
-        return 0 if check.passed else 1
+        return SUCCESS if check.passed else FAILURE

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from .files import existing
 from .options import ScenePath
+from .status import SUCCESS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,7 +40,7 @@ class Info:
 
         description = describe(load(self.scene))
         print(json.dumps(description, indent=2) if self.json else _as_text(str(self.scene), description))
-        return 0
+        return SUCCESS
 
 
 def describe(scene: Scene) -> dict[str, Any]:

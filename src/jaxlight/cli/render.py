@@ -12,6 +12,7 @@ from .cameras import camera_of
 from .files import existing, files_of_scene, picture_path, spare
 from .options import Precision, Reading, ScenePath, SharedReading, use_precision
 from .progress import stages
+from .status import SUCCESS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,4 +64,4 @@ class Render:
             stage(f"writing {self.output}")
             self.output.parent.mkdir(parents=True, exist_ok=True)
             write_image(self.output, encode(picture, self.encode))
-        return 0
+        return SUCCESS

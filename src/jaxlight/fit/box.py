@@ -119,7 +119,7 @@ def minimise_quadratic(
         bend = jnp.vdot(move, products(move[None])[0], precision="highest")
         return move, jnp.vdot(move, move, precision="highest") / jnp.where(bend > 0, bend, 1)
 
-    def moved(state: _State, grad: Array, move: Array, length: Array) -> _State:
+    def moved(state: _State, move: Array, length: Array) -> _State:
         """After the best point along a move; where none is better, the round goes on downhill, or has got stuck."""
         here = value(state.point, state.image)
         best = best_along(state.point, move, length)
@@ -146,7 +146,7 @@ def minimise_quadratic(
         # A bound whose own slope leads inwards may still be in the way of the Newton step: then it is held as well.
         out = pressing(state.point, -move)
         again = jnp.any(out) & ~jnp.any(state.in_the_way) & ~state.downhill
-        return jax.lax.cond(again, lambda: state._replace(in_the_way=out), lambda: moved(state, grad, move, length))
+        return jax.lax.cond(again, lambda: state._replace(in_the_way=out), lambda: moved(state, move, length))
 
     no, none = jnp.array(False), jnp.zeros_like(gradient)
     start = _State(none, none, jnp.zeros((), jnp.int32), jnp.zeros(size, bool), no, no, no)

@@ -8,7 +8,6 @@ checks format, problem, shapes and number types; a checkpoint of another problem
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import warnings
 import zipfile
@@ -23,6 +22,7 @@ import numpy as np
 
 from ..formats.safe_write import drafts_of, written_whole
 from ..scene.flags import Flags
+from .archive import array_in
 from .earlier import previous_of
 from .problem import Problem
 from .run import FitState, begin
@@ -111,10 +111,10 @@ class Checkpoint:
     def _read(self, path: Path) -> Saved:
         try:
             with zipfile.ZipFile(path) as file:
-                header = self._header(path, _array(file, "header", 1 << 16))
-                history = _array(file, "history", 8 * len(Step._fields) * MAX_STEPS)
+                header = self._header(path, array_in(file, "header", 1 << 16))
+                history = array_in(file, "history", 8 * len(Step._fields) * MAX_STEPS)
                 arrays = [
-                    self._checked(name, _array(file, name, leaf.size * leaf.dtype.itemsize), leaf)
+                    self._checked(name, array_in(file, name, leaf.size * leaf.dtype.itemsize), leaf)
                     for name, leaf in self._leaves.items()
                 ]
             if history.dtype != np.float64 or history.ndim != 2 or history.shape[1] != len(Step._fields):
@@ -185,14 +185,6 @@ def _flattened(part: Any) -> Iterator[Any]:
             yield from _flattened(one)
     else:
         yield part
-
-
-def _array(file: zipfile.ZipFile, name: str, largest: int) -> np.ndarray:
-    """A member of the archive, read whole so that its checksum is checked; never unpickled."""
-    member = file.getinfo(f"{name}.npy")
-    if member.file_size > largest + 4096:
-        raise ValueError(f"{name}: {member.file_size} bytes, more than it can hold")
-    return np.load(io.BytesIO(file.read(member)), allow_pickle=False)
 
 
 def _as_step(row: list[float]) -> Step:

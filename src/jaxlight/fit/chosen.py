@@ -14,6 +14,7 @@ from ..scene import paths
 from ..scene.ranges import POSITIVE, Range
 from ..scene.scene import Scene
 from .parameters import World
+from .views import label_of
 
 MIN_BLOCK = 64
 """Colours of a whole texture from which on they are eliminated as a block instead of kept in a dense matrix."""
@@ -140,7 +141,7 @@ def _canonical_exposure(view_names: Sequence[str], path: str) -> str:
 
 
 def _exposure_path(view_names: Sequence[str], row: int) -> str:
-    return f"View[{view_names[row] or row}].exposure"
+    return f"{label_of(view_names[row], row)}.exposure"
 
 
 def _exposure_rows(path: str, view_names: Sequence[str]) -> list[int]:

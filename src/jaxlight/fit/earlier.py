@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import zipfile
 from pathlib import Path
 
-import numpy as np
+from .archive import array_in
 
-_LARGEST = 4096
-"""Bytes of a number in an archive, its heading included."""
+_NUMBER = 8
+"""Bytes of a number, at most."""
 
 
 def previous_of(checkpoint: Path) -> Path:
@@ -40,12 +39,5 @@ def spare_unfinished(*checkpoints: Path) -> None:
 def _is_over(path: Path) -> bool:
     """Whether the `FitState` in a checkpoint, of whatever problem, has nothing left to do."""
     with zipfile.ZipFile(path) as file:
-        every, over = (_number(file, name) for name in (".every", ".over"))
+        every, over = (array_in(file, name, _NUMBER).item() for name in (".every", ".over"))
     return every == 1 and bool(over)
-
-
-def _number(file: zipfile.ZipFile, name: str) -> int:
-    member = file.getinfo(f"{name}.npy")
-    if member.file_size > _LARGEST:
-        raise ValueError(f"{name}: expected one number")
-    return np.load(io.BytesIO(file.read(member)), allow_pickle=False).item()

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from ..lighting.compiling import quick_jit
 from .normal import view_residual
 from .problem import Problem
-from .residuals import LossKind, reweight
+from .residuals import reweight, slopes_of_heard
 from .views import ViewData
 
 
@@ -38,7 +38,7 @@ def leftover(problem: Problem, values: Float[Array, " parameters"]) -> Leftover:
     world = problem.at(values)
 
     def of_view(view: ViewData) -> Leftover:
-        residual = view_residual(problem, world, view)
+        residual = view_residual(world, view)
         beyond = jnp.zeros(residual.shape, bool)
         if view.saturated is not None:
             beyond |= view.target >= view.saturated
@@ -47,19 +47,9 @@ def leftover(problem: Problem, values: Float[Array, " parameters"]) -> Leftover:
         said = (view.root_weight > 0) & ~(beyond & (residual == 0))
         weight = reweight(*problem.rho, residual)
         heard = jnp.ones_like(residual) if weight is None else weight
-        slopes = _slopes(*problem.rho, residual)
+        slopes = slopes_of_heard(*problem.rho, residual)
         each = (jnp.ones_like(residual), (heard * residual) ** 2, heard, slopes, slopes**2)
         return Leftover(*(jnp.sum(jnp.where(said, numbers, 0)) for numbers in each))
 
     stacks = [jax.tree.map(jnp.sum, jax.lax.map(of_view, stack)) for stack in problem.views]
     return jax.tree.map(lambda *sums: sum(sums[1:], sums[0]), *stacks)
-
-
-def _slopes(kind: LossKind, scale: Array, residual: Array) -> Array:
-    """dpsi / dr at each residual."""
-    size = jnp.abs(residual) / scale
-    if kind == "huber":
-        return jnp.where(size <= 1, 1.0, 0.0)
-    if kind == "cauchy":
-        return (1 - size * size) / (1 + size * size) ** 2
-    return jnp.ones_like(residual)

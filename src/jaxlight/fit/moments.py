@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..lighting.prepared import LANES
 from ..lighting.totals import Carry, add_terms, add_terms_in_row
-from ..raster.samples import LANES
 from .columns import Columns
 from .residuals import LossKind, half_losses, reweight
 

@@ -18,9 +18,9 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from ..lighting.prepared import LANES
 from ..lighting.tiles import Share, tiles_at_once
 from ..lighting.totals import add_terms, added_up
-from ..raster.samples import LANES
 from .columns import Columns
 from .curvature import DenseCurvature, NormalEquations
 from .moments import (
@@ -61,9 +61,9 @@ def loss(problem: Problem, values: Float[Array, " parameters"], *, by_view: bool
             return add(carry, (half_losses(*problem.rho, residual),)), None
 
         if view.pixel is not None:
-            return of_part(carry, view_residual(problem, problem.at(values), view))[0]
+            return of_part(carry, view_residual(problem.at(values), view))[0]
         if by_view:
-            residual = view_residual(problem, problem.at(values), view)
+            residual = view_residual(problem.at(values), view)
             parts = jnp.swapaxes(residual.reshape(3, -1, view.samples.tile), 0, 1)
             return jax.lax.scan(of_part, carry, parts)[0]
         together = _together(problem, view)
@@ -93,7 +93,7 @@ def loss_and_gradient(problem: Problem, values: Float[Array, " parameters"]) -> 
 
     def of_view(view: ViewData, add: Adder, carry: Any) -> Any:
         if view.pixel is not None:
-            return add(carry, pulled(lambda v: view_residual(problem, problem.at(v), view), values))
+            return add(carry, pulled(lambda v: view_residual(problem.at(v), view), values))
 
         together = _together(problem, view)
         parts = parts_of(problem, view, values, together)
@@ -147,7 +147,10 @@ def model_moments(problem: Problem, values: Float[Array, " parameters"], share: 
 
 def equations_of(problem: Problem, values: Float[Array, " parameters"], moments: Moments) -> NormalEquations:
     """The normal equations at these values from their moments, priors included."""
-    return _equations(problem, values, moments)
+    parameters = problem.parameters
+    gradient = moments.slope + parameters.gaussian_slope(values)
+    curvature = (moments.square + moments.square.T) / 2 + jnp.diag(parameters.prior_precision)
+    return NormalEquations(_loss_of(problem, values, moments), gradient, curvature)
 
 
 def settled(
@@ -173,7 +176,7 @@ def settled_by(
     columns, parameters = _settling(problem), problem.parameters
     if columns.count == 0:
         return values, _loss_of(problem, values, moments)
-    here, gradient, curvature = _equations(problem, values, moments)
+    here, gradient, curvature = equations_of(problem, values, moments)
     moves = jnp.any(columns.channels > 0, axis=0)
     lower, upper = (jnp.where(moves, bound - values, 0) for bound in (parameters.lower, parameters.upper))
     lengths = jnp.sqrt(jnp.maximum(jnp.diagonal(curvature), 0))
@@ -217,13 +220,6 @@ def _moments(problem: Problem, values: Array, columns: Columns, share: Share | N
     return moments_of(columns, Products(*products))
 
 
-def _equations(problem: Problem, values: Array, moments: Moments) -> NormalEquations:
-    parameters = problem.parameters
-    gradient = moments.slope + parameters.prior_precision * (values - parameters.prior_mean)
-    curvature = (moments.square + moments.square.T) / 2 + jnp.diag(parameters.prior_precision)
-    return NormalEquations(_loss_of(problem, values, moments), gradient, curvature)
-
-
 def _loss_of(problem: Problem, values: Array, moments: Moments) -> Array:
     return jnp.sum(moments.loss) + prior_loss(problem, values)
 
@@ -231,15 +227,15 @@ def _loss_of(problem: Problem, values: Array, moments: Moments) -> Array:
 def residuals(problem: Problem, values: Float[Array, " parameters"]) -> tuple[Array, ...]:
     """All residuals, one array a stack of views, and the priors': the same sum of squares as `loss` for squares.
 
-    For optimistix's own solvers and implicit derivatives; the steps of a fit never call it.
+    What is minimised, as optimistix asks for it; of a fit it takes the shapes alone.
     """
     world = problem.at(values)
-    parts = tuple(jax.vmap(lambda view: view_residual(problem, world, view))(stack) for stack in problem.views)
+    parts = tuple(jax.vmap(lambda view: view_residual(world, view))(stack) for stack in problem.views)
     parameters = problem.parameters
     return (*parts, jnp.sqrt(parameters.prior_precision) * (values - parameters.prior_mean))
 
 
-def view_residual(problem: Problem, world: World, view: ViewData) -> Float[Array, "3 points"]:
+def view_residual(world: World, view: ViewData) -> Float[Array, "3 points"]:
     """The weighted residuals of one view, all points at once, in storage order."""
     color = view_model(world, view)
     return weighted_difference(color, view.target, view.root_weight, view.dark, view.saturated)
@@ -252,8 +248,7 @@ def view_model(world: World, view: ViewData) -> Float[Array, "3 points"]:
 
 def prior_loss(problem: Problem, values: Array) -> Array:
     parameters = problem.parameters
-    gaussian = jnp.sum(parameters.prior_precision * (values - parameters.prior_mean) ** 2) / 2
-    return gaussian + sum((neighbour_loss(block, values) for block in parameters.blocks), jnp.zeros((), values.dtype))
+    return sum((neighbour_loss(block, values) for block in parameters.blocks), parameters.gaussian_loss(values))
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -105,6 +105,14 @@ class Parameters(eqx.Module):
         smooth = any(float(block.smoothness) > 0 or float(block.total_variation) > 0 for block in self.blocks)
         return smooth or bool(np.any(np.asarray(self.prior_precision) > 0))
 
+    def gaussian_loss(self, values: Float[Array, " parameters"]) -> Float[Array, ""]:
+        """What the Gaussian priors add to the loss."""
+        return jnp.sum(self.prior_precision * (values - self.prior_mean) ** 2) / 2
+
+    def gaussian_slope(self, values: Float[Array, " parameters"]) -> Float[Array, " parameters"]:
+        """Its gradient."""
+        return self.prior_precision * (values - self.prior_mean)
+
     def world(self, world: World, values: Float[Array, " parameters"]) -> World:
         """The world with the free numbers set to `values`."""
         for part in (*self.leaves, *self.blocks):

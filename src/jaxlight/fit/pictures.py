@@ -15,7 +15,7 @@ from ..raster.samples import SampleBuffer
 from . import normal
 from .coverage import Coverage
 from .problem import Problem
-from .views import View, ViewData
+from .views import View, ViewData, label_of
 
 if TYPE_CHECKING:
     from .fitting import Fit
@@ -56,14 +56,10 @@ def view_pictures(result: Fit, views: View | Sequence[View]) -> list[ViewPicture
     for row, view in enumerate(each):
         fitted_size, size = (_size(one.samples) for one in (_place(result.problem, row)[0], view))
         if size != fitted_size:
-            raise ValueError(f"{_label(view, row)}.samples: expected {fitted_size} as in the fit, got {size}")
+            raise ValueError(f"{label_of(view.name, row)}.samples: expected {fitted_size} as in the fit, got {size}")
     return [
         _pictures_of_view(result, row, view) for row, view in enumerate(each) if view.samples.pixel_slots is not None
     ]
-
-
-def _label(view: View, row: int) -> str:
-    return f"View[{view.name or row}]"
 
 
 def _size(samples: SampleBuffer) -> str:
@@ -86,7 +82,7 @@ def _pictures_of_view(result: Fit, row: int, view: View) -> ViewPictures:
             array = np.asarray(resolve(rows, samples)) / np.maximum(covered, 1e-12)[..., None]
         return array if array.ndim == 3 else array[..., None]
 
-    name = _label(view, row)
+    name = label_of(view.name, row)
     mask = None if view.mask is None else is_chosen(view.mask, f"{name}.mask")
     for field in (mask, view.weight):
         if field is not None:
@@ -144,7 +140,7 @@ def _model_planes(problem: Problem, values: Any, stack: ViewData, position: Any)
 @quick_jit
 def _residual_planes(problem: Problem, values: Any, stack: ViewData, position: Any) -> tuple[Any, ViewData]:
     data = jax.tree.map(lambda leaf: leaf[position], stack)
-    return normal.view_residual(problem, problem.at(values), data), data
+    return normal.view_residual(problem.at(values), data), data
 
 
 def _as_picture(planes: Any, data: ViewData) -> np.ndarray:

@@ -129,7 +129,7 @@ def make_problem(
     for row, one in enumerate(data):
         if parameters.blocks and one.pixel is not None:
             raise ValueError(
-                f"View[{names[row] or row}].samples: whole textures cannot be fitted to views with several samples a "
+                f"{label_of(names[row], row)}.samples: whole textures cannot be fitted to views with several samples a "
                 f"pixel; take one a pixel"
             )
     labels = [""] * parameters.few
@@ -158,7 +158,7 @@ def make_problem(
     noise_known = all(view.noise is not None for view in each)
     weighted = any(view.noise is not None and _weighs(view.weight) for view in each)
     part = WHOLE if parameters.blocks else choose_part(data, scene.surfaces)
-    alone = [label_of(view, row) for row, view in enumerate(each) if is_of_surfaces_alone(scene, view)]
+    alone = [label_of(view.name, row) for row, view in enumerate(each) if is_of_surfaces_alone(scene, view)]
     return problem, Description(fields, labels, names, count, noise_known, weighted, alone, part, scene.document)
 
 
@@ -318,7 +318,7 @@ def _float_type(scene: Scene, views: list[View]) -> Any:
     for row, view in enumerate(views):
         own = view.samples.position_planes.dtype if isinstance(view.samples, SampleBuffer) else dtype
         if jnp.promote_types(own, dtype) != dtype:
-            raise ValueError(f"{label_of(view, row)}.samples: expected {dtype} as the scene has, got {own}")
+            raise ValueError(f"{label_of(view.name, row)}.samples: expected {dtype} as the scene has, got {own}")
     return dtype
 
 

@@ -93,3 +93,13 @@ def reweight(kind: LossKind, scale: Array, residual: Array) -> Array | None:
         return None
     size = jnp.abs(residual) / scale
     return 1 / jnp.maximum(size, 1) if kind == "huber" else 1 / (1 + size * size)
+
+
+def slopes_of_heard(kind: LossKind, scale: Array, residual: Array) -> Array:
+    """Slope of rho'(r^2) r, which is what is heard of a residual, at each."""
+    size = jnp.abs(residual) / scale
+    if kind == "huber":
+        return jnp.where(size <= 1, 1.0, 0.0)
+    if kind == "cauchy":
+        return (1 - size * size) / (1 + size * size) ** 2
+    return jnp.ones_like(residual)

@@ -67,7 +67,7 @@ class FitState(eqx.Module):
 
 
 def residual_function(values: Array, problem: Problem) -> tuple[Any, None]:
-    """The residuals in optimistix's form, for its own solvers and its implicit derivatives."""
+    """The residuals in optimistix's form. A solver that is given normal equations needs their shapes alone."""
     return normal.residuals(problem, values), None
 
 

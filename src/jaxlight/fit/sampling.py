@@ -47,5 +47,5 @@ def texel_sampling(
 def block_of(run: Run, blocks: tuple[TexelBlock, ...]) -> int:
     """The block of the texture that a run of tiles shows; -1: none."""
     textures = [block.texture for block in blocks]
-    used = run.surface.texture in textures and run.surface.lighting != "emissive"
+    used = run.surface.textured and run.surface.texture in textures
     return textures.index(run.surface.texture) if used else -1

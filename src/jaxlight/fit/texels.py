@@ -119,7 +119,6 @@ def _assembled(
     parameters = problem.parameters
     count = parameters.few
     slope, row_sum = texel_part
-    pull = parameters.prior_precision * (values - parameters.prior_mean)
     precision = parameters.prior_precision
     neighbours, slopes, degrees, loss = [], [], [], few[0]
     for block in parameters.blocks:
@@ -148,9 +147,9 @@ def _assembled(
         neighbours=tuple(neighbours),
         shapes=tuple(block.shape for block in parameters.blocks),
     )
-    gradient = jnp.concatenate([few[1], slope + jnp.concatenate(slopes)]) + pull
-    prior = jnp.sum(precision * (values - parameters.prior_mean) ** 2) / 2
-    return NormalEquations(loss + prior, gradient, curvature)
+    gradient = jnp.concatenate([few[1], slope + jnp.concatenate(slopes)])
+    gradient = gradient + parameters.gaussian_slope(values)
+    return NormalEquations(loss + parameters.gaussian_loss(values), gradient, curvature)
 
 
 def neighbour_loss(block: TexelBlock, values: Float[Array, " parameters"]) -> Float[Array, ""]:

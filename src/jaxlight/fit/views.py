@@ -95,7 +95,7 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
     Raises:
         ValueError: a shape, a value that is not finite, a light that does not exist; says which view and field.
     """
-    label = label_of(view, row)
+    label = label_of(view.name, row)
     samples = view.samples
     if not isinstance(samples, SampleBuffer):
         raise ValueError(f"{label}.samples: expected a SampleBuffer, got {type(samples).__name__}")
@@ -226,12 +226,12 @@ def _sensor_limits(view: View, label: str) -> tuple[float, float]:
 
 def exposure_of(view: View, row: int) -> float:
     """The exposure of a view, checked: a finite number > 0."""
-    return positive(f"{label_of(view, row)}.exposure", view.exposure)
+    return positive(f"{label_of(view.name, row)}.exposure", view.exposure)
 
 
-def label_of(view: View, row: int) -> str:
+def label_of(name: str, row: int) -> str:
     """What messages and paths call a view."""
-    return f"View[{view.name or row}]"
+    return f"View[{name or row}]"
 
 
 def is_of_surfaces_alone(scene: Scene, view: View) -> bool:
@@ -241,7 +241,7 @@ def is_of_surfaces_alone(scene: Scene, view: View) -> bool:
 
 def _is_transparent(scene: Scene, view: View, row: int) -> bool:
     surface = scene.surfaces[row]
-    if surface.texture >= 0 and scene.textures[surface.texture].image.shape[-1] in (2, 4):
+    if surface.textured and scene.textures[surface.texture].image.shape[-1] in (2, 4):
         return bool(np.any(np.asarray(scene.textures[surface.texture].image[..., -1]) < 1))
     if surface.color_components == 4:
         return bool(np.any(np.asarray(view.samples.color)[:, 3] < 1))

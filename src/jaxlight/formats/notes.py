@@ -29,9 +29,9 @@ class ReadNotes:
     misspelt: list[str] = dataclasses.field(default_factory=list)
     """Attributes left out, as `Material[a].difuseColor (line 7; diffuseColor is meant?)`."""
     clamped: list[str] = dataclasses.field(default_factory=list)
-    """Values that were out of range, as `Material[a].diffuse_color (line 7)`."""
+    """Values that were out of range, as `Material[a].diffuseColor (line 7)`."""
     remarks: list[str] = dataclasses.field(default_factory=list)
-    """What the library that read the file said about it."""
+    """What else was not as it should be, a sentence each; and what the library that read the file said about it."""
     missing: list[str] = dataclasses.field(default_factory=list)
     """Textures and other files that could not be had, and why."""
 

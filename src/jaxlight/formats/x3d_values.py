@@ -26,9 +26,8 @@ _LONG = 512
 
 @dataclasses.dataclass(frozen=True)
 class FieldType:
-    """An X3D field type: its name, text -> value and value -> text. `parse` raises ValueError, saying what came."""
+    """An X3D field type: text -> value and value -> text. `parse` raises ValueError, saying what came."""
 
-    name: str
     parse: Callable[[str], Any]
     format: Callable[[Any], str]
 
@@ -192,20 +191,19 @@ def format_image(image: np.ndarray | None) -> str:
     return " ".join([f"{width} {height} {components}", *(f"0x{pixel:0{2 * components}X}" for pixel in pixels)])
 
 
-SFBool = FieldType("SFBool", _parse_boolean, lambda value: "true" if value else "false")
-SFInt32 = FieldType("SFInt32", lambda text: _exactly(parse_integers(text), 1)[0], str)
-SFFloat = FieldType("SFFloat", lambda text: _exactly(parse_floats(text), 1)[0], float_text)
-SFString = FieldType("SFString", lambda text: text, str)
-SFVec2f = FieldType("SFVec2f", *_vector(2))
-SFVec3f = FieldType("SFVec3f", *_vector(3))
-SFRotation = FieldType("SFRotation", *_vector(4))
-SFImage = FieldType("SFImage", parse_image, format_image)
+SFBool = FieldType(_parse_boolean, lambda value: "true" if value else "false")
+SFInt32 = FieldType(lambda text: _exactly(parse_integers(text), 1)[0], str)
+SFFloat = FieldType(lambda text: _exactly(parse_floats(text), 1)[0], float_text)
+SFString = FieldType(lambda text: text, str)
+SFVec2f = FieldType(*_vector(2))
+SFVec3f = FieldType(*_vector(3))
+SFRotation = FieldType(*_vector(4))
+SFImage = FieldType(parse_image, format_image)
 MFFloat = FieldType(
-    "MFFloat",
     lambda text: tuple(parse_floats(text).tolist()),
     lambda value: " ".join(float_text(x) for x in value),
 )
-MFString = FieldType("MFString", _parse_strings, _format_strings)
-MFInt32 = FieldType("MFInt32", parse_integers, lambda value: " ".join(map(str, np.asarray(value).tolist())))
-ROWS = {columns: FieldType(f"MFVec{columns}f", *_rows(columns)) for columns in (2, 3, 4)}
+MFString = FieldType(_parse_strings, _format_strings)
+MFInt32 = FieldType(parse_integers, lambda value: " ".join(map(str, np.asarray(value).tolist())))
+ROWS = {columns: FieldType(*_rows(columns)) for columns in (2, 3, 4)}
 """Fields of many vectors or colours, by their number of columns."""

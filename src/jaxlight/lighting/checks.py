@@ -37,7 +37,7 @@ def check_samples(scene: Scene, samples: SampleBuffer) -> None:
                 f"samples: surface {row} has {surface.color_components}-component vertex colours, "
                 f"the buffer holds {components}"
             )
-        if surface.texture >= 0 and samples.texel_index is None:
+        if surface.textured and samples.texel_index is None:
             raise ValueError(
                 f"samples: surface {row} has a texture, but the buffer has no texel_index and texel_weight"
             )

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from ..processor import for_cpu
-from ..raster.samples import LANES, SampleBuffer
+from ..raster.samples import SampleBuffer
 from ..scene import Materials, Scene, Surface
 from .culled_lights import CulledLights, culled_lights
 from .highlight import highlight_of
@@ -20,6 +20,9 @@ from .plan import Plan
 from .surface import MaterialRow
 from .vectors import Vector
 from .world import WorldFog, WorldLights, as_plane, fog_in_world, lights_in_world
+
+LANES = 64
+"""Over which numbers are spread on the CPU for each tile that is evaluated at once."""
 
 
 class Prepared(eqx.Module):

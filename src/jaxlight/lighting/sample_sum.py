@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from ..arrays import real_array
 from ..promotion import usual_promotion
-from ..raster.samples import LANES, SampleBuffer
+from ..raster.samples import SampleBuffer
 from ..scene import Scene
 from ..tracing import is_traced
 from .compiling import quick_jit
@@ -29,7 +29,7 @@ from .moved import moved_leaves
 from .one_tile import Color, tile_color
 from .options import LightingOptions
 from .plan import Plan
-from .prepared import compute_dtype, prepare
+from .prepared import LANES, compute_dtype, prepare
 from .program import Program
 from .shade import checked, shade_planes
 from .stages import Stage

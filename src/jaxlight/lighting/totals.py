@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..raster.samples import LANES
 from .at_once import at_once
+from .prepared import LANES
 
 Carry = Any
 """Running sums and their rounding errors, two tuples of arrays."""

@@ -5,7 +5,7 @@ own float64 test before all else. A guess that passes is a hit that it would hav
 nothing. The picture is the same with guesses, without them, and with wrong ones; only the work behind them is saved.
 
 Only the frontmost triangles go into embree's hierarchy. Building it over all of them costs more than they save, and
-even so guesses pay only where many small triangles lie over each other and leave no gap: see `_worth_it`.
+even so guesses pay only where many small triangles lie over each other and leave no gap: see `_is_closed`.
 """
 
 from __future__ import annotations

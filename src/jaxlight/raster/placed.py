@@ -102,7 +102,7 @@ class PlacedShapes:
     def _blank(self, count: int) -> Attributes:
         surfaces = self.scene.surfaces
         components = max((surface.color_components for surface in surfaces), default=0)
-        has_texture = any(surface.texture >= 0 for surface in surfaces)
+        has_texture = any(surface.textured for surface in surfaces)
         return Attributes(
             position=np.empty((count, 3)),
             normal=np.empty((count, 3)),
@@ -123,7 +123,7 @@ class PlacedShapes:
     def _fill(self, found: Attributes, which: int, here: np.ndarray, eye: np.ndarray, hits: Hits) -> None:
         """Samples `here`, all on shape `which`."""
         placed, own = self.scene.document.shapes[which], self.geometry[which]
-        is_textured = self.scene.surfaces[placed.surface].texture >= 0
+        is_textured = self.scene.surfaces[placed.surface].textured
         number = hits.number - self.first[which]
         if isinstance(own, Primitive):
             for face_number, face in enumerate(own.faces):

@@ -26,8 +26,6 @@ MAX_TILE = 1 << 24
 """Far more samples than tiles are made for: each surface fills up its last one."""
 MANY_LIGHTS = 32
 """From so many lights of a kind on, samples are shaded with those only that reach them, and stored by place."""
-LANES = 64
-"""Columns in which a tile's samples stand on the CPU; sample i of a tile is in lane i % LANES."""
 CLUSTER = 16
 """Samples, one after the other in a tile, that share a list of the lights that may reach them."""
 _INDICES = 2**31

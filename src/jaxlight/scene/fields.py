@@ -22,7 +22,7 @@ def with_article(name: str) -> str:
     return f"{'an' if name[:1].lower() in 'aeiou' else 'a'} {name}"
 
 
-def _refuse(where: str, value: Any, allowed: str) -> ValueError:
+def _refusal(where: str, value: Any, allowed: str) -> ValueError:
     shown = np.array2string(value, threshold=6) if isinstance(value, np.ndarray) else repr(value)
     in_one_line = " ".join(map(str.strip, shown.splitlines()))
     return ValueError(f"{where}: expected {allowed}, got {in_one_line[:80]}")
@@ -35,7 +35,7 @@ def _misshapen(where: str, array: np.ndarray, allowed: str) -> ValueError:
 def _floats(where: str, value: Any, shape: tuple[int, ...], allowed: str) -> np.ndarray:
     array = known_numbers(where, value, allowed).astype(np.float64)
     if array.shape != shape or not np.all(np.isfinite(array)):
-        raise _refuse(where, value, allowed)
+        raise _refusal(where, value, allowed)
     return array
 
 
@@ -48,7 +48,7 @@ def _rows(where: str, value: Any, columns: int, allowed: str) -> np.ndarray:
     finite = np.all(np.isfinite(array), axis=1)
     if not np.all(finite):
         row = int(np.argmin(finite))
-        raise ValueError(f"{_refuse(where, array[row], allowed)} in row {row}")
+        raise ValueError(f"{_refusal(where, array[row], allowed)} in row {row}")
     array.setflags(write=False)
     return array
 
@@ -72,12 +72,12 @@ def number(
     allowed = " ".join(["a number" if infinite else "a finite number", " and ".join(bounds)]).strip()
     array = known_numbers(where, value, allowed)
     if array.shape != () or array.dtype == bool:
-        raise _refuse(where, value, allowed)
+        raise _refusal(where, value, allowed)
     x = float(array)
     if math.isnan(x) or (math.isinf(x) and not infinite) or not (at_least <= x <= at_most):
-        raise _refuse(where, value, allowed)
+        raise _refusal(where, value, allowed)
     if not (x > above or above == -math.inf) or not (x < below or below == math.inf):
-        raise _refuse(where, value, allowed)
+        raise _refusal(where, value, allowed)
     return x
 
 
@@ -107,9 +107,9 @@ def whole(where: str, value: Any, *, at_least: int) -> int:
     try:
         n = operator.index(value)
     except TypeError:
-        raise _refuse(where, value, allowed) from None
+        raise _refusal(where, value, allowed) from None
     if isinstance(value, bool) or n < at_least:
-        raise _refuse(where, value, allowed)
+        raise _refusal(where, value, allowed)
     return n
 
 
@@ -117,7 +117,7 @@ def integer(where: str, value: Any) -> int:
     """One whole number."""
     x = number(where, value)
     if x != int(x):
-        raise _refuse(where, value, "a whole number")
+        raise _refusal(where, value, "a whole number")
     return int(x)
 
 
@@ -140,11 +140,11 @@ def float_type(where: str, value: Any) -> jnp.dtype | None:
     try:
         dtype = None if value is None else jnp.dtype(value)
     except TypeError:
-        raise _refuse(where, value, allowed) from None
+        raise _refusal(where, value, allowed) from None
     if dtype is not None and dtype not in _FLOATS:
-        raise _refuse(where, value, allowed)
+        raise _refusal(where, value, allowed)
     if dtype == np.float64 and not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
-        raise _refuse(where, value, 'a type that JAX now has (float64 needs jax.config.update("jax_enable_x64", True))')
+        raise _refusal(where, value, 'a type that JAX has now (float64: jax.config.update("jax_enable_x64", True))')
     return dtype
 
 
@@ -157,21 +157,21 @@ def spot_angle(where: str, value: Any) -> float:
 def boolean(where: str, value: Any) -> bool:
     """True or False."""
     if not isinstance(value, (bool, np.bool_)):
-        raise _refuse(where, value, "True or False")
+        raise _refusal(where, value, "True or False")
     return bool(value)
 
 
 def string(where: str, value: Any) -> str:
     """A string."""
     if not isinstance(value, str):
-        raise _refuse(where, value, "a string")
+        raise _refusal(where, value, "a string")
     return value
 
 
 def strings(where: str, value: Any) -> tuple[str, ...]:
     """Strings; a single one counts as a list of one."""
     if not isinstance(value, (str, list, tuple)):
-        raise _refuse(where, value, "a string or a list of them")
+        raise _refusal(where, value, "a string or a list of them")
     return tuple(string(where, each) for each in ((value,) if isinstance(value, str) else value))
 
 
@@ -180,7 +180,7 @@ def choice(*words: str) -> Callable[[str, Any], str]:
 
     def check(where: str, value: Any) -> str:
         if not isinstance(value, str) or value not in words:
-            raise _refuse(where, value, " or ".join(repr(word) for word in words))
+            raise _refusal(where, value, " or ".join(repr(word) for word in words))
         return value
 
     return check
@@ -191,7 +191,7 @@ def rising_angles(where: str, value: Any) -> tuple[float, ...]:
     each = np.atleast_1d(known_numbers(where, value, "numbers >= 0")).tolist()
     angles = tuple(non_negative(where, angle) for angle in each)
     if list(angles) != sorted(angles):
-        raise _refuse(where, value, "angles that do not decrease")
+        raise _refusal(where, value, "angles that do not decrease")
     return angles
 
 
@@ -209,7 +209,7 @@ def vector3(
     what += f" > {above:g}" if above > -math.inf else ""
     array = _floats(where, value, (3,), what)
     if np.any(array < at_least) or (above > -math.inf and np.any(array <= above)):
-        raise _refuse(where, value, what)
+        raise _refusal(where, value, what)
     x, y, z = array.tolist()
     return x, y, z
 
@@ -233,7 +233,7 @@ def color(where: str, value: Any) -> tuple[float, float, float]:
     """Three numbers in [0, 1]."""
     array = _floats(where, value, (3,), "3 numbers in [0, 1]")
     if np.any((array < 0) | (array > 1)):
-        raise _refuse(where, value, "3 numbers in [0, 1]")
+        raise _refusal(where, value, "3 numbers in [0, 1]")
     r, g, b = array.tolist()
     return r, g, b
 
@@ -242,7 +242,7 @@ def axis_angle(where: str, value: Any) -> tuple[float, float, float, float]:
     """An axis and an angle in radians."""
     x, y, z, angle = _floats(where, value, (4,), "4 finite numbers (axis x, y, z and angle in radians)").tolist()
     if x == y == z == 0.0 and angle != 0.0:
-        raise _refuse(where, value, "an axis that is not zero")
+        raise _refusal(where, value, "an axis that is not zero")
     return x, y, z, angle
 
 
@@ -260,7 +260,7 @@ def _color_rows(where: str, value: Any, columns: int) -> np.ndarray:
     allowed = f"colours of shape [n, {columns}] in [0, 1]"
     array = _rows(where, value, columns, allowed)
     if np.any((array < 0) | (array > 1)):
-        raise _refuse(where, array, allowed)
+        raise _refusal(where, array, allowed)
     return array
 
 
@@ -281,9 +281,9 @@ def index_list(where: str, value: Any) -> np.ndarray:
     if array.size == 0:
         array = np.zeros(0, dtype=np.int64)
     if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer) or np.any(array < -1):
-        raise _refuse(where, array, allowed)
+        raise _refusal(where, array, allowed)
     if np.any(array > np.iinfo(np.int64).max):
-        raise _refuse(where, array, f"{allowed} and below {2**63}")
+        raise _refusal(where, array, f"{allowed} and below {2**63}")
     array = array.astype(np.int64)
     array.setflags(write=False)
     return array
@@ -301,7 +301,7 @@ def texture_image(where: str, value: Any) -> np.ndarray | None:
     if array.ndim != 3 or array.shape[2] not in (1, 2, 3, 4) or array.size == 0:
         raise _misshapen(where, array, allowed)
     if not np.all((array >= 0) & (array <= 1)):
-        raise _refuse(where, array, allowed)
+        raise _refusal(where, array, allowed)
     array.setflags(write=False)
     return array
 

@@ -216,9 +216,7 @@ class _Stack:
             **self._fields(rows, "ambient_intensity", "color", "intensity", *names),
             "on": Flags([light.on for light in rows]),
             "in_scope": Flags(np.stack([scope for _, _, scope in lights], axis=1)),
-            "to_world": self.floats(
-                [to_world for _, to_world, _ in lights], lambda row: f"{rows[row].label}: its frame"
-            ),
+            "to_world": self.floats(frames, lambda row: f"{rows[row].label}: its frame"),
             "names": tuple(light.name for light in rows),
             "frame": frame_kind(frames),
         }

@@ -144,7 +144,8 @@ class Scene(eqx.Module):
     """A scene as the lighting equation reads it: a pytree whose every number is a leaf.
 
     A kind of light that the scene lacks is None. `document` holds what is not differentiated: the nodes the scene
-    came from, the placed shapes, viewpoints and background.
+    came from, the placed shapes, viewpoints and background. A user may leave it out (`dataclasses.replace` by None);
+    what needs nodes refuses such a scene (`checks.check_has_nodes`).
     """
 
     materials: Materials | None
