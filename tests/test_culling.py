@@ -20,7 +20,8 @@ from jaxlight.lighting.plan import LightPlan
 from jaxlight.lighting.vectors import Vector
 from jaxlight.lighting.world import lights_in_world
 from jaxlight.raster import SampleBuffer, rasterize
-from jaxlight.raster.samples import CLUSTER, MANY_LIGHTS
+from jaxlight.raster.samples import MANY_LIGHTS
+from jaxlight.raster.tile_layout import CLUSTER
 from leaves import assert_leaves_close
 
 LIGHTS = 300

@@ -63,10 +63,10 @@ def check_header(path: Path, header: dict[str, Any], size: int, held: int, notes
             message = f"needs the glTF extension {name}, which jaxlight does not read; it reads"
             raise SceneFileError(path, None, f"{message} {', '.join(READ_EXTENSIONS)}")
     size += sum(min(own["byteLength"], MAX_FILE_BYTES) for own in header.get("buffers", []) if _is_beside(own))
-    counts = [accessor["count"] for accessor in header.get("accessors", [])]
     # An entry takes a byte or more; what several accessors read may be the same.
-    if sum(counts) > _SHARED * size:
-        raise SceneFileError(path, None, f"announces {sum(counts)} entries, far more than its {size} bytes can hold")
+    entries = sum(accessor["count"] for accessor in header.get("accessors", []))
+    if entries > _SHARED * size:
+        raise SceneFileError(path, None, f"announces {entries} entries, far more than its {size} bytes can hold")
     for kind, fields in _ROWS.items():
         for row, entry in enumerate(header.get(kind, [])):
             for field, named in fields.items():
@@ -74,43 +74,15 @@ def check_header(path: Path, header: dict[str, Any], size: int, held: int, notes
     _check_buffers(path, header, held)
     for row, accessor in enumerate(header.get("accessors", [])):
         _check_accessor(path, header, row, accessor)
-    for row, mesh in enumerate(header.get("meshes", [])):
-        read = dict(_with_triangles(mesh["primitives"], notes))
-        mesh["primitives"] = list(read.values())
-        _check_mesh(path, header, row, mesh, notes)
-        for number, primitive in read.items():
-            _check_triangles(path, header, f"glTF mesh {row}", number, primitive)
-    # A primitive becomes a mesh with numbers of its own, whatever it shares with others.
-    primitives = [primitive for mesh in header.get("meshes", []) for primitive in mesh["primitives"]]
-    entries = sum(counts[accessor] for primitive in primitives for accessor in _used(primitive))
-    if entries > max(_SHARED * size, _MOST_ENTRIES):
-        message = (
-            f"its primitives have {entries} entries of accessors; of {size} bytes at most {_MOST_ENTRIES} are read"
-        )
-        raise SceneFileError(path, None, message)
+    _check_meshes(path, header, size, notes)
     for row, node in enumerate(header.get("nodes", [])):
         _check_node(path, header, row, node, notes)
     for row, scene in enumerate(header.get("scenes", [])):
         check_rows(path, f"scene {row}", scene.get("nodes", []), header, "nodes")
     if "scenes" in header:
         check_rows(path, "header", [header.get("scene", 0)], header, "scenes")
-    for row, material in enumerate(header.get("materials", [])):
-        if material.get("alphaMode", "OPAQUE") not in ("OPAQUE", "MASK", "BLEND"):
-            notes.simplified[f"glTF alphaMode {material.pop('alphaMode'):.40} (read as OPAQUE)"] += 1
-        if material.get("alphaMode") == "MASK":
-            notes.unused["glTF alphaMode MASK (read as BLEND)"] += 1
-        _clamp_factors(f"glTF materials[{row}]", material, notes)
-    for kind in ("animations", "skins", "cameras"):
-        if header.get(kind):
-            notes.skipped[f"glTF {kind}"] += len(header[kind])
-    lights = header.get("extensions", {}).get(LIGHTS, {}).get("lights", [])
-    if lights:
-        notes.skipped["glTF lights"] += len(lights)
-    used = collections.Counter(name for m in header.get("materials", []) for name in m.get("extensions", {}))
-    used.update(name for name in header.get("extensionsUsed", []) if name not in used)
-    for name, count in used.items():
-        if name not in (*READ_EXTENSIONS, LIGHTS):
-            notes.unused[f"glTF {name}"] += count
+    _mend_materials(header, notes)
+    _note_others(header, notes)
 
 
 def _check_version(path: Path, asset: dict[str, Any]) -> None:
@@ -165,6 +137,23 @@ def _with_triangles(primitives: list[dict[str, Any]], notes: ReadNotes) -> Itera
             notes.skipped["glTF primitive without POSITION"] += 1
         else:
             yield number, primitive
+
+
+def _check_meshes(path: Path, header: dict[str, Any], size: int, notes: ReadNotes) -> None:
+    """Primitives that are not read are left out. A file has `size` bytes, and so have those beside it."""
+    meshes = header.get("meshes", [])
+    for row, mesh in enumerate(meshes):
+        read = dict(_with_triangles(mesh["primitives"], notes))
+        mesh["primitives"] = list(read.values())
+        _check_mesh(path, header, row, mesh, notes)
+        for number, primitive in read.items():
+            _check_triangles(path, header, f"glTF mesh {row}", number, primitive)
+    # A primitive becomes a mesh with numbers of its own, whatever it shares with others.
+    used = [accessor for mesh in meshes for primitive in mesh["primitives"] for accessor in _used(primitive)]
+    entries = sum(header["accessors"][accessor]["count"] for accessor in used)
+    if entries > max(_SHARED * size, _MOST_ENTRIES):
+        message = f"its primitives have {entries} entries of accessors; of {size} bytes at most"
+        raise SceneFileError(path, None, f"{message} {_MOST_ENTRIES} are read")
 
 
 def _check_mesh(path: Path, header: dict[str, Any], row: int, mesh: dict[str, Any], notes: ReadNotes) -> None:
@@ -223,6 +212,31 @@ def _check_node(path: Path, header: dict[str, Any], row: int, node: dict[str, An
     if np.linalg.matrix_rank(linear) < 3:
         notes.simplified["glTF node scaled to nothing, left out with its children"] += 1
         header["nodes"][row] = {}
+
+
+def _mend_materials(header: dict[str, Any], notes: ReadNotes) -> None:
+    """Ways of alpha that glTF does not know become its default, and factors are clamped."""
+    for row, material in enumerate(header.get("materials", [])):
+        if material.get("alphaMode", "OPAQUE") not in ("OPAQUE", "MASK", "BLEND"):
+            notes.simplified[f"glTF alphaMode {material.pop('alphaMode'):.40} (read as OPAQUE)"] += 1
+        if material.get("alphaMode") == "MASK":
+            notes.unused["glTF alphaMode MASK (read as BLEND)"] += 1
+        _clamp_factors(f"glTF materials[{row}]", material, notes)
+
+
+def _note_others(header: dict[str, Any], notes: ReadNotes) -> None:
+    """What the whole file has and jaxlight does not read."""
+    for kind in ("animations", "skins", "cameras"):
+        if header.get(kind):
+            notes.skipped[f"glTF {kind}"] += len(header[kind])
+    lights = header.get("extensions", {}).get(LIGHTS, {}).get("lights", [])
+    if lights:
+        notes.skipped["glTF lights"] += len(lights)
+    used = collections.Counter(name for m in header.get("materials", []) for name in m.get("extensions", {}))
+    used.update(name for name in header.get("extensionsUsed", []) if name not in used)
+    for name, count in used.items():
+        if name not in (*READ_EXTENSIONS, LIGHTS):
+            notes.unused[f"glTF {name}"] += count
 
 
 def _clamp_factors(where: str, owner: dict[str, Any], notes: ReadNotes) -> None:

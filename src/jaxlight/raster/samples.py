@@ -7,7 +7,7 @@ are how it is stored, because the equation is evaluated tile by tile. The layout
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,20 +16,16 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from ..arrays import array_of, known_numbers, refuse_masked
+from ..arrays import array_of, refuse_masked
 from ..formats.levels import refuse_levels
-from ..processor import sizes
-from ..scene.fields import boolean, float_type, largest_of, type_or_own, whole
+from ..scene.fields import boolean, float_type, type_or_own, whole
+from .sample_rows import SampleRows, check_finite, checked_rows
+from .tile_layout import CLUSTER, TileLayout, layout_of
 
-MIN_TILE = 64
 MAX_TILE = 1 << 24
 """Far more samples than tiles are made for: each surface fills up its last one."""
 MANY_LIGHTS = 32
 """From so many lights of a kind on, samples are shaded with those only that reach them, and stored by place."""
-CLUSTER = 16
-"""Samples, one after the other in a tile, that share a list of the lights that may reach them."""
-_INDICES = 2**31
-"""How many there are in an int32."""
 
 
 class SampleBuffer(eqx.Module):
@@ -120,99 +116,78 @@ class SampleBuffer(eqx.Module):
             ValueError: a shape, a type, a value or an index that does not fit; says which.
         """
         dtype = float_type("SampleBuffer: dtype", dtype)
-        position = _rows("position", position, (3,))
-        count = len(position)
-        normal = _rows("normal", normal, (3,), count)
-        eye = _vector("eye", eye, (3,))
-        surface = _indices("surface", surface, (count,), or_one=True)
-        if color is not None:
-            refuse_levels("SampleBuffer: color", known_numbers("SampleBuffer: color", color))
-            color = _rows("color", color, (3, 4), count)
-        if (texel_index is None) != (texel_weight is None):
-            raise ValueError("SampleBuffer: texel_index and texel_weight go together; one of them is missing")
-        if texel_index is not None:
-            texel_index = _indices("texel_index", texel_index, (count, 4))
-            texel_weight = _rows("texel_weight", texel_weight, (4,), count)
-        width = None if width is None else whole("SampleBuffer: width", width, at_least=1)
-        height = None if height is None else whole("SampleBuffer: height", height, at_least=1)
-        if pixel is not None:
-            if width is None or height is None:
-                raise ValueError("SampleBuffer: pixel needs width and height")
-            if width * height >= _INDICES:
-                raise ValueError(f"SampleBuffer: pixel: expected fewer than {_INDICES} pixels, got {width} x {height}")
-            pixel = _indices("pixel", pixel, (count,), below=width * height)
-        coverage = None if coverage is None else _vector("coverage", coverage, (count,))
-        if coverage is not None and np.any((coverage < 0) | (coverage > 1 + 1e-6)):
-            least, most = coverage.min(), coverage.max()
-            raise ValueError(f"SampleBuffer: coverage: expected shares in [0, 1], got {least} to {most}")
-        if pixel is not None:
-            _check_shares(pixel, coverage)
-        camera_to_world = None if camera_to_world is None else _vector("camera_to_world", camera_to_world, (3, 3))
-        pixel_to_world = None if pixel_to_world is None else _vector("pixel_to_world", pixel_to_world, (3, 3))
-        tile = None if tile is None else whole("SampleBuffer: tile", tile, at_least=1)
-        if tile is not None and tile & (tile - 1):
-            raise ValueError(f"SampleBuffer: tile: expected a power of two, got {tile}")
-        if tile is not None and tile > MAX_TILE:
-            raise ValueError(f"SampleBuffer: tile: expected at most {MAX_TILE} samples, got {tile}")
+        given = SampleRows(
+            position,
+            normal,
+            eye,
+            surface,
+            color,
+            texel_index,
+            texel_weight,
+            pixel,
+            coverage,
+            width,
+            height,
+            camera_to_world,
+            pixel_to_world,
+        )
+        rows = checked_rows(given, dtype)
         by_place = boolean("SampleBuffer: by_place", by_place)
-        largest = largest_of(dtype)
-        stored = {
-            "position": position,
-            "normal": normal,
-            "eye": eye,
-            "color": color,
-            "texel_weight": texel_weight,
-            "camera_to_world": camera_to_world,
-            "pixel_to_world": pixel_to_world,
-        }
-        for name, numbers in stored.items():
-            most = 0.0 if numbers is None else float(np.abs(numbers).max(initial=0.0))
-            if most > largest:
-                raise ValueError(f"SampleBuffer: {name}: {most:g} is larger than its type holds, {largest:g}")
-        layout = _layout(surface, tile, position if by_place else None)
+        return cls._stored(rows, layout_of(rows.surface, _checked(tile), rows.position if by_place else None), dtype)
+
+    @classmethod
+    def _stored(cls, rows: SampleRows, layout: TileLayout, dtype: Any) -> SampleBuffer:
+        """The rows as planes, texels and pixels slot by slot."""
+        source = layout.source
+        places = rows.position[source]
+
+        def stored(values: np.ndarray | None) -> Any:
+            return None if values is None else array_of(values, dtype)
 
         def planes(values: np.ndarray | None) -> Any:
             """[N, components] -> [blocks, components, block]"""
             if values is None:
                 return None
-            blocks = values[layout.source].reshape(-1, layout.group * layout.tile, values.shape[1])
-            return array_of(np.ascontiguousarray(blocks.swapaxes(1, 2)), dtype)
+            blocks = values[source].reshape(-1, layout.group * layout.tile, values.shape[1])
+            return stored(np.ascontiguousarray(blocks.swapaxes(1, 2)))
 
-        def slots(values: np.ndarray | None, padding: float) -> Any:
-            return None if values is None else np.where(layout.is_padding, padding, values[layout.source])
+        def slots(values: np.ndarray | None, padding: float, own_type: Any) -> Any:
+            return None if values is None else array_of(np.where(layout.is_padding, padding, values[source]), own_type)
 
-        in_tiles = position[layout.source].reshape(-1, layout.tile, 3)
-        in_clusters = in_tiles.reshape(-1, min(CLUSTER, layout.tile), 3)
-        index = None if texel_index is None else np.ascontiguousarray(texel_index[layout.source].T)
-        pixels = slots(pixel, (width or 0) * (height or 0))
-        share = slots(coverage, 0.0)
+        def bounds(size: int) -> tuple[Any, Any]:
+            """Lowest and highest coordinates of every `size` samples."""
+            own = places.reshape(-1, size, 3)
+            return stored(own.min(axis=1).T), stored(own.max(axis=1).T)
+
+        texel_index, texel_weight = (
+            None if values is None else np.ascontiguousarray(values[source].T)
+            for values in (rows.texel_index, rows.texel_weight)
+        )
+        tile_low, tile_high = bounds(layout.tile)
+        cluster_low, cluster_high = bounds(min(CLUSTER, layout.tile))
         return cls(
-            position_planes=planes(position),
-            normal_planes=planes(normal),
-            eye=array_of(eye, dtype),
-            camera_to_world=None if camera_to_world is None else array_of(camera_to_world, dtype),
-            pixel_to_world=None if pixel_to_world is None else array_of(pixel_to_world, dtype),
-            color_planes=planes(color),
-            texel_index=None if index is None else array_of(index, jnp.int32),
-            texel_weight=None
-            if texel_weight is None
-            else array_of(np.ascontiguousarray(texel_weight[layout.source].T), dtype),
-            pixel_slots=None if pixels is None else array_of(pixels, jnp.int32),
-            coverage_slots=None
-            if share is None
-            else array_of(share, jnp.promote_types(type_or_own(dtype), jnp.float32)),
+            position_planes=planes(rows.position),
+            normal_planes=planes(rows.normal),
+            eye=stored(rows.eye),
+            camera_to_world=stored(rows.camera_to_world),
+            pixel_to_world=stored(rows.pixel_to_world),
+            color_planes=planes(rows.color),
+            texel_index=None if texel_index is None else array_of(texel_index, jnp.int32),
+            texel_weight=stored(texel_weight),
+            pixel_slots=slots(rows.pixel, (rows.width or 0) * (rows.height or 0), jnp.int32),
+            coverage_slots=slots(rows.coverage, 0.0, jnp.promote_types(type_or_own(dtype), jnp.float32)),
             slot=None if layout.slot is None else array_of(layout.slot, jnp.int32),
             tile_surface=array_of(layout.tile_surface, jnp.int32),
-            tile_low=array_of(in_tiles.min(axis=1).T, dtype),
-            tile_high=array_of(in_tiles.max(axis=1).T, dtype),
-            cluster_low=array_of(in_clusters.min(axis=1).T, dtype),
-            cluster_high=array_of(in_clusters.max(axis=1).T, dtype),
+            tile_low=tile_low,
+            tile_high=tile_high,
+            cluster_low=cluster_low,
+            cluster_high=cluster_high,
             runs=layout.runs,
-            count=count,
+            count=len(rows.position),
             tile=layout.tile,
             group=layout.group,
-            width=width,
-            height=height,
+            width=rows.width,
+            height=rows.height,
         )
 
     def in_sample_order(self, slots: Array, axis: int = -1) -> Array:
@@ -287,7 +262,7 @@ class SampleBuffer(eqx.Module):
             if given.shape != expected:
                 raise ValueError(f"SampleBuffer: {name}: expected shape {list(expected)}, got {list(given.shape)}")
             if not isinstance(given, Tracer):
-                _check_finite(name, np.asarray(given))
+                check_finite(name, np.asarray(given))
             changed[f"{name}_planes"] = self._with_rows_in(planes, given)
         if position is not None:
             places = lax.stop_gradient(jnp.moveaxis(changed["position_planes"], 1, 0))
@@ -368,129 +343,12 @@ class SampleBuffer(eqx.Module):
         return None if self.coverage_slots is None else self.in_sample_order(self.coverage_slots)
 
 
-class _Layout(NamedTuple):
-    """How rows go to slots: tiles of one surface each, padding filled with the surface's last sample."""
-
-    source: np.ndarray
-    is_padding: np.ndarray
-    slot: np.ndarray | None
-    tile_surface: np.ndarray
-    runs: tuple[tuple[int, int, int], ...]
-    tile: int
-    group: int
-
-
-def _layout(surface: np.ndarray, tile: int | None, position: np.ndarray | None = None) -> _Layout:
-    """`position` [N, 3]: neighbours in space go together; None: samples stay as they come."""
-    order = np.argsort(surface, kind="stable")
-    rows, counts = np.unique(surface, return_counts=True)
+def _checked(tile: Any) -> int | None:
     if tile is None:
-        tile = _tile_size(len(surface), len(rows))
-    tiles = -(-counts // tile)
-    group = _group_size(tiles)
-    tiles = -(-tiles // group) * group
-    last_tile = np.cumsum(tiles)
-    first_tile = last_tile - tiles
-    first_sample = np.cumsum(counts) - counts
-    if position is not None:
-        for first, count in zip(first_sample, counts, strict=True):
-            mine = order[first : first + count]
-            order[first : first + count] = mine[_neighbours_together(position[mine], min(CLUSTER, tile))]
-    slots = np.arange(tiles.sum() * tile)
-    run = np.repeat(np.arange(len(rows)), tiles * tile)
-    within = slots - first_tile[run] * tile
-    source = order[first_sample[run] + np.minimum(within, counts[run] - 1)]
-    is_padding = within >= counts[run]
-    slot = np.empty(len(surface), dtype=np.int64)
-    slot[source[~is_padding]] = slots[~is_padding]
-    in_order = bool(np.all(slot == np.arange(len(surface))))
-    runs = tuple(zip(rows.tolist(), first_tile.tolist(), last_tile.tolist(), strict=True))
-    return _Layout(source, is_padding, None if in_order else slot, np.repeat(rows, tiles), runs, tile, group)
-
-
-def _neighbours_together(position: np.ndarray, smallest: int) -> np.ndarray:
-    """An order of positions [N, 3] in which aligned runs of `smallest`, of twice as many, and so on lie close together.
-
-    Each run is halved across its longest side, as in a k-d tree.
-    """
-    count = len(position)
-    order = np.arange(count)
-    size = 1 << max(count - 1, 0).bit_length()
-    while size > smallest and count:
-        run, starts, here = np.arange(count) // size, np.arange(0, count, size), position[order]
-        extent = np.maximum.reduceat(here, starts) - np.minimum.reduceat(here, starts)
-        along = here[np.arange(count), np.argmax(extent, axis=1)[run]]
-        order = order[np.lexsort((along, run))]
-        size //= 2
-    return order
-
-
-def _tile_size(samples: int, surfaces: int) -> int:
-    """The largest power of two that wastes little on padding: that for images, less for few samples a surface."""
-    wanted = max(MIN_TILE, min(sizes().tile, samples // (4 * max(surfaces, 1))))
-    return 1 << (wanted.bit_length() - 1)
-
-
-def _group_size(tiles: np.ndarray) -> int:
-    """The largest power of two to which the surfaces' tiles can be filled up at little waste."""
-    group, most = sizes().group, int(np.sum(tiles) * sizes().padding)
-    while group > 1 and np.sum(-tiles % group) > most:
-        group //= 2
-    return group
-
-
-def _rows(what: str, value: Any, columns: tuple[int, ...], count: int | None = None) -> np.ndarray:
-    """`value` as finite floats [N, columns]; raises ValueError that names `what`."""
-    array = _array(what, value)
-    if array.ndim != 2 or array.shape[1] not in columns or (count is not None and len(array) != count):
-        expected = f"[{'N' if count is None else count}, {' or '.join(map(str, columns))}]"
-        raise ValueError(f"SampleBuffer: {what}: expected shape {expected}, got {list(array.shape)}")
-    return array
-
-
-def _vector(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    array = _array(what, value)
-    if array.shape != shape:
-        raise ValueError(f"SampleBuffer: {what}: expected shape {list(shape)}, got {list(array.shape)}")
-    return array
-
-
-def _array(what: str, value: Any) -> np.ndarray:
-    array = known_numbers(f"SampleBuffer: {what}", value)
-    array = array if array.dtype == np.float32 else array.astype(np.float64)
-    _check_finite(what, array)
-    return array
-
-
-def _check_finite(what: str, array: np.ndarray) -> None:
-    if not np.all(np.isfinite(array)):
-        bad = np.argwhere(~np.isfinite(array))[0].tolist()
-        raise ValueError(f"SampleBuffer: {what}: every number must be finite; {what}{bad} is {array[tuple(bad)]}")
-
-
-def _check_shares(pixel: np.ndarray, coverage: np.ndarray | None) -> None:
-    """Shares that were rounded to 8 bits may add up to a little more than 1."""
-    covered = np.bincount(pixel, coverage)
-    most = int(np.argmax(covered)) if covered.size else 0
-    if covered.size and covered[most] > 1.01:
-        hint = "; without coverage each sample stands for a whole pixel" if coverage is None else ""
-        raise ValueError(
-            "SampleBuffer: coverage: expected shares of a pixel that add up to at most 1, "
-            f"got {covered[most]:g} in pixel {most}{hint}"
-        )
-
-
-def _indices(
-    what: str, value: Any, shape: tuple[int, ...], *, below: int | None = None, or_one: bool = False
-) -> np.ndarray:
-    """`value` as integers >= 0 (and < below) of the given shape, or one for all."""
-    expected = f"integers of shape {list(shape)}{' or one' if or_one else ''}"
-    array = known_numbers(f"SampleBuffer: {what}", value, expected)
-    if or_one and array.ndim == 0:
-        array = np.full(shape, array)
-    if array.shape != shape or not np.issubdtype(array.dtype, np.integer):
-        raise ValueError(f"SampleBuffer: {what}: expected {expected}, got {array.dtype} {list(array.shape)}")
-    if array.size and (array.min() < 0 or array.max() >= (_INDICES if below is None else below)):
-        allowed = f">= 0 and below {_INDICES}" if below is None else f"in [0, {below})"
-        raise ValueError(f"SampleBuffer: {what}: every index must be {allowed}; got {array.min()} to {array.max()}")
-    return array.astype(np.int64)
+        return None
+    tile = whole("SampleBuffer: tile", tile, at_least=1)
+    if tile & (tile - 1):
+        raise ValueError(f"SampleBuffer: tile: expected a power of two, got {tile}")
+    if tile > MAX_TILE:
+        raise ValueError(f"SampleBuffer: tile: expected at most {MAX_TILE} samples, got {tile}")
+    return tile
