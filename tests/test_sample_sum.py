@@ -84,6 +84,34 @@ def test_gradients_are_differentiated_again_in_either_mode() -> None:
         assert_leaves_close(reverse, expected, 1e-11)
 
 
+@pytest.mark.parametrize("mixed", [False, True])
+def test_padding_is_no_pair_that_the_function_never_sees(mixed: bool) -> None:
+    """The colour distance is singular where the colour is the target, which of all pairs of them only the last colour
+    and the first target are."""
+    materials = (nodes.Material(), nodes.Material(shininess=0.5))
+    balls = [nodes.Shape(appearance=nodes.Appearance(material=own), geometry=nodes.Sphere()) for own in materials]
+    scene = Scene.from_nodes([*balls, nodes.DirectionalLight(direction=(0, 0, -1))])
+    count = 70
+    normal = np.tile([0.0, 0.0, 1.0], (count, 1))
+    normal[-1] = 0, 0, -1
+    surface = np.arange(count) % 2 if mixed else 0
+    samples = SampleBuffer.create(np.zeros((count, 3)), normal, [0, 0, 5.0], surface=surface)
+    assert samples.slots > count and (samples.slot is not None) == mixed
+    target = np.full((3, count), 0.5, np.float32)
+    target[:, :2] = 0
+    stored = samples.in_storage_order(target)
+    np.testing.assert_array_equal(samples.in_sample_order(stored), target)
+
+    def distance(color: Any, target: Any) -> Any:
+        return jnp.sqrt(jnp.sum((color[:3] - target) ** 2, axis=0))
+
+    free, fixed = eqx.partition(scene, eqx.is_inexact_array)
+    ours = jax.grad(lambda free: sum_over_samples(distance, eqx.combine(free, fixed), samples, stored))(free)
+    wanted = jax.grad(lambda free: jnp.sum(distance(shade(eqx.combine(free, fixed), samples).T, target)))(free)
+    assert float(wanted.directional.intensity[0]) > 50
+    assert_leaves_close(ours, wanted, 1e-5)
+
+
 def test_derivatives_by_samples_and_textures_are_those_of_the_whole_image() -> None:
     scene, samples = colored_bodies(2, 0)
     weights = samples.in_storage_order(np.random.default_rng(1).normal(size=(4, samples.count)).astype(np.float32))

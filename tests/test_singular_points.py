@@ -18,7 +18,7 @@ from benchmarks.stress.judge import Block, Judged, Precision
 from mpmath import mp, mpf
 
 import answers
-from answers import Mode
+from answers import Mode, plan_of
 from cases_to_scenes import structure
 from jaxlight import SampleBuffer, Scene, nodes, shade
 from jaxlight.lighting import elementary, factors, highlight
@@ -63,6 +63,12 @@ HELD = [family for family in FAMILIES if len(of_family(family))]
 def test_hardly_a_family_is_left_out() -> None:
     assert len(HELD) >= len(FAMILIES) - 6
     assert len(cases()) > 1000
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_plan_can_be_made_of_every_family(family: str) -> None:
+    for case in adversarial_cases(SEED, 8, (family,)):
+        assert plan_of(case)
 
 
 @pytest.mark.parametrize("family", HELD)

@@ -132,9 +132,9 @@ def test_numbers_of_lights_that_are_none_are_refused(field: str, number: float) 
         return
     with pytest.raises(ValueError, match=rf"PointLight\[key\].{field}: every number must be finite, got {number}"):
         shade(broken, SAMPLE)
-    off = dataclasses.replace(broken.point, on=Flags([False]))
-    unlit = dataclasses.replace(broken, point=off)
-    assert np.all(np.isfinite(shade(unlit, SAMPLE)))
+    for unread in ({"on": Flags([False])}, {"in_scope": Flags([[False]])}):
+        unlit = dataclasses.replace(broken, point=dataclasses.replace(broken.point, **unread))
+        assert np.all(np.isfinite(shade(unlit, SAMPLE)))
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf])

@@ -19,7 +19,7 @@ from ..raster.samples import SampleBuffer
 from ..scene.checks import check_scene
 from ..scene.fields import positive
 from ..scene.flags import Flags
-from ..scene.paths import LIGHT_ATTRIBUTES, Leaf
+from ..scene.paths import LIGHT_ATTRIBUTES, Leaf, fields
 from ..scene.scene import Scene
 from .columns import Columns
 from .directions import Apart, OnlyView, columns_of
@@ -323,8 +323,6 @@ def _float_type(scene: Scene, views: list[View]) -> Any:
 
 
 def _check_finite(scene: Scene) -> None:
-    from ..scene.paths import fields
-
     for field in fields(scene):
         value = field.value(scene)
         allowed_infinite = field.leaf.field == "radius"

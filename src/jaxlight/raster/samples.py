@@ -197,7 +197,8 @@ class SampleBuffer(eqx.Module):
         return lax.slice_in_dim(slots, 0, self.count, axis=axis)
 
     def in_storage_order(self, values: Array, axis: int = -1) -> Array:
-        """[..., N, ...] -> [..., slots, ...] along an axis, the opposite of `in_sample_order`; padding has the first.
+        """[..., N, ...] -> [..., slots, ...] along an axis, the opposite of `in_sample_order`. Padding has that of the
+        sample whose colour it has too, so that functions of both never meet what is of no sample.
 
         Raises:
             ValueError: no numbers; not as many values as samples.
@@ -209,9 +210,14 @@ class SampleBuffer(eqx.Module):
         if not -values.ndim <= axis < values.ndim or values.shape[axis] != self.count:
             expected = f"{self.count} along axis {axis}, one a sample"
             raise ValueError(f"SampleBuffer: in_storage_order: expected {expected}, got {list(values.shape)}")
-        rows = jnp.moveaxis(values, axis, 0)
-        filled = jnp.broadcast_to(rows[:1], (self.slots, *rows.shape[1:]))
-        return jnp.moveaxis(filled.at[self._own_slots].set(rows, unique_indices=True), 0, axis)
+        if self.slot is None:  # all padding follows the last sample
+            widths = [(0, 0)] * values.ndim
+            widths[axis] = (0, self.slots - self.count)
+            return jnp.pad(values, widths, mode="edge") if self.count else values
+        slots, is_sample = jnp.arange(self.slots), self.is_sample
+        filled_from = slots if is_sample is None else lax.cummax(jnp.where(is_sample, slots, 0))
+        sample = jnp.zeros_like(slots).at[self.slot].set(jnp.arange(self.count), unique_indices=True)
+        return jnp.take(values, sample[filled_from], axis=axis)
 
     @property
     def is_sample(self) -> Bool[Array, " slots"] | None:

@@ -108,7 +108,7 @@ def _check_leaves(name: str, owner: Any) -> None:
 
 
 def _check_numbers(kind: str, owner: Any) -> None:
-    """No number that is known is NaN or infinite, but of lights that are off, which nobody reads."""
+    """No number that is known is NaN or infinite, but of lights that are off or out of every scope: nobody reads them."""
     names = getattr(owner, "names", None)
     for field in _dimensions(type(owner)):
         leaf = getattr(owner, field)
@@ -117,7 +117,7 @@ def _check_numbers(kind: str, owner: Any) -> None:
         known = np.asarray(leaf).reshape(1 if names is None else len(names), -1)
         bad = np.isnan(known) if field in _MAY_BE_INFINITE else ~np.isfinite(known)
         if kind in LIGHT_KINDS:
-            bad &= owner.on.array[:, None]
+            bad &= (owner.on.array & owner.in_scope.array.any(axis=0))[:, None]
         if np.any(bad):
             row = int(np.argmax(bad.any(axis=1)))
             label = kind if names is None else f"{kind}[{names[row] or row}]"
