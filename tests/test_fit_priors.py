@@ -69,3 +69,44 @@ def test_values_that_a_prior_did_not_draw_to_it_are_told(bits: str, found: bool)
     off = abs(result.value("PointLight[key].intensity") - 1.1) / 0.1
     said = f"the values are {off:.2g} standard errors from the best, in what priors tell"
     assert (off < 0.01) == found and any(said in line for line in result.uncertainty.messages()) == (not found)
+
+
+@pytest.mark.parametrize(("mean", "deviation", "told"), [(0.6, 0.01, False), (0.62, 0.01, False), (0.7, 0.01, True)])
+def test_a_prior_that_the_pictures_contradict_is_told(mean: float, deviation: float, told: bool) -> None:
+    """The truth is 0.6. Pictures know it to 0.002 or so: a prior that is 10 of its deviations off hardly moves it."""
+    with precision("float64") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, noise=0.01, seed=1), noise=0.01)
+        free = [Free(f"{DIFFUSE}.r", mean=mean, deviation=deviation)]
+        result = fit(sphere_scene(dtype=dtype), view, free)
+        said = [line for line in result.uncertainty.messages() if "from the prior's mean" in line]
+        assert len(said) == told
+        assert all(line.startswith(f"{DIFFUSE}.r is 9.") for line in said), said
+
+
+def test_a_prior_that_outweighs_what_the_pictures_say_is_told() -> None:
+    """The number moves by a hundredth of its deviations only; the pictures are as far from it as before."""
+    with precision("float64") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE, noise=0.01, seed=1), noise=0.01)
+        for mean, told in ((0.6, False), (0.7, True)):
+            free = [Free(f"{DIFFUSE}.r", mean=mean, deviation=1e-4)]
+            result = fit(sphere_scene(dtype=dtype), view, free)
+            assert abs(float(result.values[0]) - mean) < 1e-3
+            assert ("from the prior's mean" in " ".join(result.uncertainty.messages())) == told
+
+
+def test_a_noise_that_is_stated_far_too_large_is_told() -> None:
+    with precision("float64") as dtype:
+        picture = sphere_picture(SIZE, noise=0.01, seed=1)
+        for noise, told in ((0.01, False), (0.015, False), (0.05, True)):
+            view = View(sphere_samples(SIZE, dtype=dtype), picture, noise=noise)
+            said = fit(sphere_scene(dtype=dtype), view, DIFFUSE).uncertainty.messages()
+            assert [line.partition(" times")[0] for line in said] == ["what is left is 0.199"] * told, said
+
+
+def test_limits_of_the_sensor_are_no_sign_of_a_noise_that_is_stated_too_large() -> None:
+    with precision("float64") as dtype:
+        picture = sphere_picture(SIZE, noise=0.01, seed=1)
+        full = float(np.quantile(picture[picture > 0.05], 0.1))
+        view = View(sphere_samples(SIZE, dtype=dtype), np.minimum(picture, full), noise=0.01, saturated=full)
+        said = fit(sphere_scene(dtype=dtype), view, f"{DIFFUSE}.r").uncertainty.messages()
+        assert not [line for line in said if "stated noise" in line], said

@@ -18,7 +18,9 @@ from jaxlight import nodes
 from jaxlight.fit import view_pictures
 from jaxlight.fit.pictures import ViewPictures
 from jaxlight.fit.report import report_page
+from jaxlight.formats.quantize import quantize
 from jaxlight.image import resolve
+from jaxlight.image.encode import Transfer
 
 SIZE = 16
 
@@ -130,6 +132,21 @@ def test_what_is_shown_as_used_is_what_the_fit_used(count: int) -> None:
     np.testing.assert_array_equal(pictures.used, whole)
 
 
+def test_limits_of_the_sensor_that_are_kept_are_no_differences(tmp_path: Path) -> None:
+    scene = make_scene()
+    samples = jl.rasterize(scene, None, SIZE, SIZE)
+    true = np.asarray(jl.render(scene, samples))
+    full, black = np.quantile(true[true > 0], [0.5, 0.2])
+    view = jl.View(samples, np.clip(true, black, full) + 0.001, saturated=full, dark=black + 0.001)
+    result = jl.fit(scene, view, "PointLight[left].intensity", max_steps=1)
+    (pictures,) = view_pictures(result, view)
+    assert np.max(np.abs(pictures.model - pictures.target)) > 0.1
+    np.testing.assert_allclose(pictures.difference[pictures.used], result.residual_image()[pictures.used], atol=1e-6)
+    assert np.all(pictures.difference[~pictures.used] == 0) and np.max(np.abs(pictures.difference)) < 0.01
+    jl.write_report(tmp_path / "a.html", result, view)
+    assert "0 where a limit of the sensor is kept" in (tmp_path / "a.html").read_text()
+
+
 def test_other_views_than_the_fits_are_refused(fitted) -> None:
     result, views, _ = fitted
     with pytest.raises(ValueError, match="views: expected the 2 that were fitted, got 1"):
@@ -199,11 +216,23 @@ def test_one_bad_pixel_does_not_hide_the_other_differences(fitted) -> None:
     target = np.full((64, 64, 3), 0.5)
     model = target + 0.01
     model[5, 7] += 5
-    page = report_page(fitted[0], [ViewPictures("a", target, model, np.ones((64, 64), bool))], title="a")
+    page = report_page(fitted[0], [ViewPictures("a", target, model, np.ones((64, 64), bool))], ["none"], title="a")
     assert "largest 5.01" in page and "red +0.01," in page
     data = re.findall(r"base64,([^\"]+)", page)[2]
     shown = np.asarray(Image.open(io.BytesIO(base64.b64decode(data))), float)
     assert np.all(shown[..., 0] > shown[..., 2] + 100)  # red, where the model is brighter
+
+
+def test_every_view_is_shown_by_its_own_transfer(fitted, tmp_path: Path) -> None:
+    result, views, _ = fitted
+    transfers: list[Transfer] = ["none", "srgb"]
+    jl.write_report(tmp_path / "a.html", result, views, transfer=transfers)
+    embedded = re.findall(r"base64,([^\"]+)", (tmp_path / "a.html").read_text())
+    for transfer, view, shown in zip(transfers, view_pictures(result, views), embedded[::3], strict=True):
+        levels = np.asarray(Image.open(io.BytesIO(base64.b64decode(shown))))
+        np.testing.assert_array_equal(levels, quantize(jl.encode(view.target, transfer)))
+    with pytest.raises(ValueError, match="transfer: expected one for each of 2 views, got 1"):
+        jl.write_report(tmp_path / "b.html", result, views, transfer=["srgb"])
 
 
 def test_arguments_in_another_order_are_refused(fitted, tmp_path: Path) -> None:

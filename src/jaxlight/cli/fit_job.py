@@ -179,8 +179,7 @@ class FitJob:
         for path, one, pictures in zip(picture_files, asked, view_pictures(result, views), strict=True):
             write_image(path, encode(pictures.model, one.decode))
         title = f"{self.problem.scene.name} fitted to {', '.join(one.picture.name for one in asked)}"
-        transfer = "srgb" if all(one.decode == "srgb" for one in asked) else "none"
-        write_report(report_file, result, views, title=title, transfer=transfer, warnings=warned)
+        write_report(report_file, result, views, title=title, transfer=[one.decode for one in asked], warnings=warned)
         return textures
 
 

@@ -15,7 +15,8 @@ from ..raster.samples import SampleBuffer
 from . import normal
 from .coverage import Coverage
 from .problem import Problem
-from .views import View, ViewData, label_of
+from .residuals import weighted_difference
+from .views import View, ViewData, label_of, sensor_limits
 
 if TYPE_CHECKING:
     from .fitting import Fit
@@ -29,6 +30,16 @@ class ViewPictures(NamedTuple):
     model: np.ndarray
     used: np.ndarray
     """[height, width]: True where the fit looked."""
+    dark: float = -np.inf
+    """Numbers up to here are upper limits, as `View.dark`."""
+    saturated: float = np.inf
+    """Numbers from here on are lower limits, as `View.saturated`."""
+
+    @property
+    def difference(self) -> np.ndarray:
+        """model - target where the fit looked, as it counts: 0 where a limit of the sensor is kept."""
+        looked = self.used[..., None].astype(np.float64)
+        return np.asarray(weighted_difference(self.model, self.target, looked, self.dark, self.saturated))
 
 
 def view_pictures(result: Fit, views: View | Sequence[View]) -> list[ViewPictures]:
@@ -96,7 +107,8 @@ def _pictures_of_view(result: Fit, row: int, view: View) -> ViewPictures:
     seen = np.where(covered[..., None] > 0, model_image(result.problem, result.state.values, row), 0)
     model = seen + float(result.exposure[row]) * uncovered[..., None] * np.asarray(behind, np.float64)
     unknown = np.where(used[..., None], model, 0)  # in a channel that the fit did not look at
-    return ViewPictures(name, np.where(np.isfinite(target), target, unknown), model, used)
+    limits = sensor_limits(view, name)
+    return ViewPictures(name, np.where(np.isfinite(target), target, unknown), model, used, *limits)
 
 
 def model_image(problem: Problem, values: Any, view: int) -> np.ndarray:

@@ -11,7 +11,7 @@ import html
 import importlib.metadata
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,7 @@ def write_report(
     views: View | Sequence[View],
     *,
     title: str = "Fit",
-    transfer: Transfer = "none",
+    transfer: Transfer | Sequence[Transfer] = "none",
     warnings: Sequence[str] | None = None,
 ) -> None:
     """Write the report page (written whole or not at all).
@@ -57,19 +57,28 @@ def write_report(
         result: what `fit` returned.
         views: the views that it was given.
         title: the page's heading.
-        transfer: "srgb" if the views' numbers are linear light, so that they look right on the page.
+        transfer: "srgb" if the views' numbers are linear light, so that they look right on the page; one for all, or
+            one a view.
         warnings: what was said while scene and pictures were read and fitted, a sentence each; None: not known.
 
     Raises:
-        ValueError: `result` is not what `fit` returns; views of another number or size than the fit had.
+        ValueError: `result` is not what `fit` returns; views of another number or size than the fit had; transfers of
+            another number.
     """
     if not isinstance(result, Fit):
         raise ValueError(f"result: expected a Fit, got {type(result).__name__}")
     path = as_path("write_report: path", path)
     string("title", title)
     warnings = None if warnings is None else strings("warnings", warnings)
-    pictures = view_pictures(result, views)
-    page = report_page(result, pictures, title=title, transfer=transfer, warnings=warnings)
+    each = list(views) if isinstance(views, Iterable) else [views]
+    pictures = view_pictures(result, each)
+    transfers: list[Transfer] = [transfer] * len(each) if isinstance(transfer, str) else list(transfer)
+    if len(transfers) != len(each):
+        raise ValueError(f"transfer: expected one for each of {len(each)} views, got {len(transfers)}")
+    shown: list[Transfer] = [
+        own for own, view in zip(transfers, each, strict=True) if view.samples.pixel_slots is not None
+    ]
+    page = report_page(result, pictures, shown, title=title, warnings=warnings)
     with written_whole(path) as draft:
         draft.write_text(page, encoding="utf-8", errors="replace")
 
@@ -77,13 +86,14 @@ def write_report(
 def report_page(
     result: Fit,
     pictures: Sequence[ViewPictures],
+    transfers: Sequence[Transfer],
     *,
     title: str,
-    transfer: Transfer = "none",
     warnings: Sequence[str] | None = None,
 ) -> str:
     """The page as text."""
     verdict = "good" if result.converged else "bad"
+    sections = [_view_section(one, transfer) for one, transfer in zip(pictures, transfers, strict=True)]
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>
@@ -91,7 +101,7 @@ def report_page(
 <p class="{verdict}">{html.escape(result.message)}</p>
 <p>{_setting(result)}</p>
 <h2>Pictures</h2>
-{"".join(_view_section(one, transfer) for one in pictures) or "<p>Samples without pixels: nothing to show.</p>"}
+{"".join(sections) or "<p>Samples without pixels: nothing to show.</p>"}
 <h2>Steps</h2>
 {_convergence_chart(result.history)}
 {_steps_table(result.history)}
@@ -121,7 +131,7 @@ def _setting(result: Fit) -> str:
 
 
 def _view_section(view: ViewPictures, transfer: Transfer) -> str:
-    difference = np.where(view.used[..., None], view.model - view.target, 0.0)
+    difference = view.difference
     sizes = np.abs(difference[view.used])
     largest = float(np.max(sizes, initial=0))
     # A few pixels at rims must not make all others look right.
@@ -131,10 +141,18 @@ def _view_section(view: ViewPictures, transfer: Transfer) -> str:
     figures = [
         ("target", encode(view.target, transfer)),
         ("model", encode(view.model, transfer)),
-        (f"model - target, blue -{scale:.3g} to red +{scale:.3g}, {SHOWN:.1%} within; grey: not looked at", shown),
+        (
+            f"model - target, blue -{scale:.3g} to red +{scale:.3g}, {SHOWN:.1%} within; grey: not looked at"
+            f"{'; 0 where a limit of the sensor is kept' if _has_limits(view) else ''}",
+            shown,
+        ),
     ]
     heading = f"{html.escape(view.name)}: difference RMS {rms:.3g}, largest {largest:.3g}"
     return f"<h3>{heading}</h3>{_figures(view.name, figures)}"
+
+
+def _has_limits(view: ViewPictures) -> bool:
+    return bool(np.any(view.target >= view.saturated) or np.any(view.target <= view.dark))
 
 
 def _figures(of: str, figures: Sequence[tuple[str, Any]]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..lighting import shade_planes
 from ..lighting.totals import summed_on_lanes
@@ -16,16 +16,17 @@ LossKind = Literal["squares", "huber", "cauchy"]
 
 
 def weighted_difference(
-    color: Float[Array, "3 points"],
-    target: Float[Array, "3 points"],
-    root_weight: Float[Array, "channels points"],
-    dark: Array | None,
-    saturated: Array | None,
-) -> Float[Array, "3 points"]:
+    color: ArrayLike,
+    target: ArrayLike,
+    root_weight: ArrayLike,
+    dark: ArrayLike | None,
+    saturated: ArrayLike | None,
+) -> Array:
     """Square root of the weight x (color - target); beyond the sensor's range only the wrong side counts.
 
     A saturated target is a lower limit, a dark one an upper limit (censored observations).
     """
+    color, target = jnp.asarray(color), jnp.asarray(target)
     difference = color - target
     if saturated is not None:
         difference = jnp.where(target >= saturated, jnp.minimum(difference, 0), difference)

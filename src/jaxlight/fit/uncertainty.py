@@ -32,6 +32,8 @@ MANY = 0.05
 """The share of a texture's colours from which on those that lie on a bound are told."""
 NOISIER, SURELY = 1.1, 5.0
 """What is left of pictures is more than their stated noise: by this factor, and by so many standard deviations."""
+QUIETER = 0.5
+"""What is left is less than the stated noise by this factor."""
 
 
 class Correlation(NamedTuple):
@@ -208,6 +210,7 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
         remarks=(
             *filter(None, [unknown]),
             *_remarks(problem, description, float(reduced.loss), fitted, off),
+            *_against_priors(problem, description, found, error),
             *_texels_on_bounds(problem, texels, reduced.rows),
         ),
         unseen_texels=tuple(_unseen_texels(problem, reduced.rows)),
@@ -293,7 +296,44 @@ def _remarks(problem: Problem, description: Description, loss: float, fitted: fl
                 f"what is left is {np.sqrt(left):.3g} times the stated noise: something in the pictures is not in the "
                 f"model, and the errors do not allow for it"
             )
+        # Of limits of the sensor that are kept nothing is left.
+        measured = freedom - _limits(problem)
+        quiet = 2 * loss / measured if measured > 0 else 1.0
+        if quiet < QUIETER**2 and quiet < 1 - SURELY * np.sqrt(2 / measured):
+            said.append(
+                f"what is left is {np.sqrt(quiet):.3g} times the stated noise or less: the errors are as large as the "
+                f"stated noise makes them"
+            )
     return said
+
+
+def _limits(problem: Problem) -> int:
+    """Residuals that may be limits of the sensor instead of measurements."""
+    found = 0
+    for stack in problem.views:
+        target, beyond = np.asarray(stack.target), np.zeros(np.shape(stack.target), bool)
+        if stack.saturated is not None:
+            beyond |= target >= np.asarray(stack.saturated)[:, None, None]
+        if stack.dark is not None:
+            beyond |= target <= np.asarray(stack.dark)[:, None, None]
+        found += int(np.count_nonzero(beyond & (np.asarray(stack.root_weight) > 0)))
+    return found
+
+
+def _against_priors(problem: Problem, description: Description, found: np.ndarray, error: np.ndarray) -> list[str]:
+    """The numbers for which pictures and prior say what cannot both be true, if the noise of both is what is stated."""
+    if not description.noise_known:
+        return []
+    count, parameters = problem.parameters.few, problem.parameters
+    mean, precision = (np.asarray(a, np.float64)[:count] for a in (parameters.prior_mean, parameters.prior_precision))
+    deviations = np.abs(found - mean) * np.sqrt(precision)
+    # If both are right, a fit moves from the mean by as much as it came to know.
+    learned = np.sqrt(np.maximum(1 - np.where(np.isfinite(error), error, 0) ** 2 * precision, 1e-4))
+    return [
+        f"{description.labels[i]} is {deviations[i]:.2g} deviations of its prior from the prior's mean, against which "
+        f"the pictures are: one of the two is wrong, and the error of the number trusts both"
+        for i in np.flatnonzero(deviations > SURELY * learned).tolist()
+    ]
 
 
 @quick_jit

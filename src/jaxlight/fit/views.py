@@ -102,7 +102,7 @@ def view_data(scene: Scene, view: View, row: int, dtype: Any) -> ViewData:
     layout = _Layout.of(label, samples)
     background = _background(view, layout)
     target, weight = _seen_and_heard(view, layout, dtype)
-    dark, saturated = _sensor_limits(view, label)
+    dark, saturated = sensor_limits(view, label)
     rows = None if view.lights is None else _light_rows(label, scene, view.lights)
     chosen = [None] * 3 if rows is None else [rows[kind] for kind in LIGHT_KINDS]
     scopes = [_scope(getattr(scene, kind), own) for kind, own in zip(LIGHT_ATTRIBUTES, chosen, strict=True)]
@@ -211,7 +211,7 @@ def _weights(view: View, layout: _Layout, mask: Bool[np.ndarray, " points"]) -> 
         return np.where(used, weight / noise**2, 0.0)
 
 
-def _sensor_limits(view: View, label: str) -> tuple[float, float]:
+def sensor_limits(view: View, label: str) -> tuple[float, float]:
     """`dark` and `saturated`; where there is none, infinite."""
     dark, saturated = (
         default if given is None else number(f"{label}.{field}", given, infinite=True)

@@ -108,7 +108,7 @@ def _check_leaves(name: str, owner: Any) -> None:
 
 
 def _check_numbers(kind: str, owner: Any) -> None:
-    """No number that is known is NaN or infinite, but of lights that are off or out of every scope: nobody reads them."""
+    """No number that is known is NaN or infinite, but of lights that are off or in no scope: they are not read."""
     names = getattr(owner, "names", None)
     for field in _dimensions(type(owner)):
         leaf = getattr(owner, field)
