@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import warnings
 from pathlib import Path
 
@@ -290,44 +289,6 @@ def test_what_becomes_of_a_shape_whose_material_is_skipped_is_said(tmp_path: Pat
     text = one_warning(path)
     assert f"{inside[1:].split()[0].split('/')[0]} x1" in text
     assert ("Appearance without its material (unlit: white, or its own colours) x1" in text) == bool(count)
-
-
-MISSPELT = [
-    ("<Shape><Appearance><Material DEF='m' difuseColor='1 0 0'/></Appearance></Shape>",
-     r"Material\[m\].difuseColor \(line 3; diffuseColor is meant\?\)"),
-    ("<Shape><Sphere Solid='false'/></Shape>", r"Sphere.Solid \(line 3; solid is meant\?\)"),
-    ("<PointLight locaton='0 0 9' colour='1 0 0'/>", r"locaton .*, PointLight.colour \(line 3; color is meant\?\)"),
-    ("<Group def='g'/>", r"Group.def \(line 3; DEF is meant\?\)"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("text", "said"), MISSPELT)
-def test_misspelt_attributes_are_named_with_the_field_that_is_meant(tmp_path: Path, text: str, said: str) -> None:
-    path = tmp_path / "scene.x3d"
-    path.write_text(x3d(text))
-    assert re.search(f"skipped [12] attributes? that jaxlight does not know: .*{said}", one_warning(path))
-
-
-NOT_READ = [
-    "<Group id='a' class='b' style='c' bboxCenter='0 0 0' bboxSize='1 1 1' bboxDisplay='true' visible='true'/>",
-    "<Transform bboxCenter='0 0 0' bboxSize='1 1 1' rotationOrder='XYZ'/>",
-    "<Shape castShadow='false' bboxSize='1 1 1'><Box class='a' id='b'/></Shape>",
-    "<Shape><Appearance><Material normalScale='1' occlusionStrength='1' diffuseTextureMapping='a'"
-    " emissiveTextureMapping='b' shininessTextureMapping='c' specularTextureMapping='d'/></Appearance></Shape>",
-    "<DirectionalLight shadows='true' shadowIntensity='1' description='sun'/>",
-    "<PointLight shadows='true' shadowIntensity='1'/><SpotLight shadows='true' shadowIntensity='1'/>",
-    "<Fog fogCoord='1' visibilityStart='1'/>",
-    "<Viewpoint centerOfRotation='0 0 0' jump='true' retainUserOffsets='true' viewAll='true' nearDistance='1'"
-    " farDistance='9'/>",
-    "<NavigationInfo type='ANY' speed='1' avatarSize='1 1 1' transitionTime='1' transitionType='TELEPORT'"
-    " visibilityLimit='0'/>",
-    "<Shape><IndexedTriangleSet normalUpdateMode='a' coordIndex='0'/></Shape>",
-]
-
-
-@pytest.mark.parametrize("text", NOT_READ)
-def test_attributes_that_are_not_read_but_right_are_no_misspellings(tmp_path: Path, text: str) -> None:
-    read_text(tmp_path, text)  # raises the warning if there is one
 
 
 def test_groups_that_are_simplified_are_named(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import collections
 import dataclasses
 import warnings
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from pathlib import Path
 
 from .errors import SceneFileWarning
@@ -14,6 +14,10 @@ ROUNDED = 1e-6
 """A number that is out of range by less is clamped without a word."""
 _MOST_NAMED = 12
 _LONGEST = 200
+
+
+def _lists() -> dict[Hashable, list[str]]:
+    return collections.defaultdict(list)
 
 
 @dataclasses.dataclass
@@ -26,8 +30,8 @@ class ReadNotes:
     """Nodes read as something simpler, by what was done."""
     unused: collections.Counter[str] = dataclasses.field(default_factory=collections.Counter)
     """Fields that change the picture elsewhere and that jaxlight does not have, by name."""
-    misspelt: list[str] = dataclasses.field(default_factory=list)
-    """Attributes left out, as `Material[a].difuseColor (line 7; diffuseColor is meant?)`."""
+    unknown: dict[Hashable, list[str]] = dataclasses.field(default_factory=_lists)
+    """Attributes left out, as `Material[a].difuseColor (line 7; diffuseColor is meant?)`, those alike under one key."""
     clamped: list[str] = dataclasses.field(default_factory=list)
     """Values that were out of range, as `Material[a].diffuseColor (line 7)`."""
     remarks: list[str] = dataclasses.field(default_factory=list)
@@ -46,9 +50,10 @@ class ReadNotes:
             found.append(f"simplified: {_counted(self.simplified)}")
         if self.unused:
             found.append(f"fields not used: {_counted(self.unused)}")
-        if self.misspelt:
-            count = "1 attribute" if len(self.misspelt) == 1 else f"{len(self.misspelt)} attributes"
-            found.append(f"skipped {count} that jaxlight does not know: {_listed(self.misspelt)}")
+        if self.unknown:
+            total = sum(map(len, self.unknown.values()))
+            count = "1 attribute" if total == 1 else f"{total} attributes"
+            found.append(f"skipped {count} that jaxlight does not know: {_grouped(self.unknown)}")
         if self.clamped:
             count = "1 value" if len(self.clamped) == 1 else f"{len(self.clamped)} values"
             found.append(f"clamped {count} to the allowed range: {_listed(self.clamped)}")
@@ -68,6 +73,11 @@ class ReadNotes:
 
 def _counted(counts: collections.Counter[str]) -> str:
     return _listed(f"{name} x{count}" for name, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+
+
+def _grouped(notes: dict[Hashable, list[str]]) -> str:
+    """The first note under each key, and how many there are like it."""
+    return _listed(f"{first}{f' and {len(alike)} alike' if alike else ''}" for first, *alike in notes.values())
 
 
 def _short(text: str) -> str:

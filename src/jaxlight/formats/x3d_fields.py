@@ -105,13 +105,8 @@ def fields_of(kind: type[nodes.Node]) -> dict[str, X3DField]:
 
 @functools.lru_cache(maxsize=1024)
 def meant_attribute(kind: type[nodes.Node], unknown: str) -> str | None:
-    """The attribute of a class that an unknown one misspells, or None.
-
-    X3D has more fields than jaxlight reads; none of them is as close to one that it reads as this asks for.
-    """
+    """The attribute of a class that an unknown one misspells, or None."""
     names = {name.lower(): name for name in (*fields_of(kind), "DEF", "USE", "containerField")}
-    if unknown in names.values():
-        return None
     close = difflib.get_close_matches(unknown.lower(), names, n=1, cutoff=0.8)
     return names[close[0]] if close else None
 

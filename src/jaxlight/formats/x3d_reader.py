@@ -23,6 +23,7 @@ from .x3d_fields import X3DField, fields_of, meant_attribute, python_name, versi
 from .x3d_groups import CHILD_HOLDERS, SIMPLIFIED, is_child_node, split_children
 from .x3d_source import TextureFile, X3DSource
 from .x3d_textures import TextureReader
+from .x3d_unread import CHANGES_THE_PICTURE, is_unread_field
 from .x3d_values import SFBool, parse_floats
 from .xml_elements import Element, parse_xml
 
@@ -31,13 +32,6 @@ _CHILD_KINDS = (
     *_GROUPS, nodes.Shape, nodes.DirectionalLight, nodes.PointLight, nodes.SpotLight, nodes.Fog, nodes.Background,
     nodes.Viewpoint, nodes.NavigationInfo,
 )  # fmt: skip
-_UNUSED_FIELDS = {
-    "Appearance": {"alphaCutoff", "alphaMode"},
-    "Background": {
-        "backUrl", "bottomUrl", "frontUrl", "groundAngle", "groundColor", "leftUrl", "rightUrl", "topUrl",
-        "transparency",
-    },
-}  # fmt: skip
 _LONGEST_NAME = 60
 """Characters of an attribute's name; no field has as many."""
 _MAX_DETOURS = 32
@@ -228,10 +222,10 @@ class _Reader:
         for attribute, text in element.attributes.items():
             field = fields.get(attribute) if element.tag == kind.__name__ else None
             if field is None:
-                if attribute in _UNUSED_FIELDS.get(element.tag, ()):
+                if attribute in CHANGES_THE_PICTURE.get(element.tag, ()):
                     self.notes.unused[f"{element.tag}.{attribute}"] += 1
-                elif meant := meant_attribute(kind, attribute[:_LONGEST_NAME]):
-                    self.notes.misspelt.append(f"{label}.{attribute} (line {element.line}; {meant} is meant?)")
+                elif not is_unread_field(element.tag, attribute):
+                    self._note_unknown(kind, element, attribute)
                 continue
             try:
                 value = field.in_radians(field.type.parse(text), self.angle_unit)
@@ -242,6 +236,13 @@ class _Reader:
                 self.notes.clamped.append(f"{label}.{attribute} (line {element.line})")
             found.append((field, value))
         return found
+
+    def _note_unknown(self, kind: type[nodes.Node], element: Element, attribute: str) -> None:
+        """An attribute that X3D does not have, and the one that may be meant."""
+        meant = meant_attribute(kind, attribute[:_LONGEST_NAME])
+        where = f"line {element.line}; {meant} is meant?" if meant else f"line {element.line}"
+        alike = self.notes.unknown[element.tag, attribute]
+        alike.append(f"{_shown(element)}.{attribute} ({where})")
 
     def _node_fields(
         self, kind: type[nodes.Node], parent: Element, made: list[tuple[Element, nodes.Node | None]]
@@ -310,6 +311,12 @@ def _fit_sky(values: dict[str, Any], notes: ReadNotes) -> None:
     if rising != angles[: len(rising)]:
         notes.simplified["Background whose skyAngle decreases (read as the largest before)"] += 1
     values |= {"sky_color": colors[:stops], "sky_angle": rising}
+
+
+def _shown(element: Element) -> str:
+    """As `Node.label`, by the element's own tag."""
+    name = element.attributes.get("DEF", "")
+    return f"{element.tag}[{name}]" if name else element.tag
 
 
 def _is_known(element: Element) -> bool:
