@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from jaxlight import SceneFileWarning
 from jaxlight.formats import read_nodes
 from jaxlight.formats.x3d_fields import fields_of
 from jaxlight.formats.x3d_groups import SIMPLIFIED
@@ -114,3 +115,46 @@ def test_no_field_is_listed_both_as_read_and_as_not_read() -> None:
     )
     read = {(tag, name) for tag, kind in n.NODE_TYPES.items() for name in fields_of(kind)}
     assert [pair for pair in sorted(read) if is_unread_field(*pair)] == [("Viewpoint", "description")]
+
+
+BOX = "<Shape DEF='s'><Appearance/><Box DEF='b'/></Shape>"
+BESIDE = [
+    ("<Transform DEF='a'/><Transform USE='a' translation='1 0 0' visible='false'/>",
+     "Transform.translation (USE='a', line 3), Transform.visible (USE='a', line 3)"),
+    ("<Group DEF='a'/><Group USE='a'>\n<Shape/><Fog/></Group>", "what is in Group (USE='a', line 3)"),
+    (f"{BOX}<Shape><Sphere USE='b'/></Shape>", "the name Sphere (USE='b' is a Box, line 3)"),
+    (f"{BOX}<Group USE='s'/>", "the name Group (USE='s' is a Shape, line 3)"),
+    (f"{BOX}<Shape><Sphere USE='b' radius='2'/></Shape>",
+     "the name Sphere (USE='b' is a Box, line 3), Sphere.radius (USE='b', line 3)"),
+    ("<Group DEF='a'/>" + "<Group USE='a' x='1'/>\n" * 40, "Group.x (USE='a', line 3) and 39 alike"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "said"), BESIDE)
+def test_what_stands_beside_a_use_is_named(tmp_path: Path, text: str, said: str) -> None:
+    assert said_of(tmp_path, text) == f"ignored beside a USE: {said}"
+
+
+def test_a_node_that_is_used_under_another_name_stays_what_it_is(tmp_path: Path) -> None:
+    with pytest.warns(SceneFileWarning, match="the name Sphere"):
+        path = tmp_path / "scene.x3d"
+        path.write_text(x3d(f"{BOX}<Shape><Sphere USE='b'/></Shape>"))
+        defined, used = read_nodes(path).children
+    assert isinstance(defined, n.Shape) and isinstance(used, n.Shape) and used.geometry is defined.geometry
+
+
+def test_a_use_may_say_where_it_belongs(tmp_path: Path) -> None:
+    again = "<Shape USE='s' containerField='children' class='a' id='b' style='c' onclick='f()'/>"
+    hidden = "<Anchor><Shape DEF='h' visible='false'/></Anchor><Shape USE='h'/>"
+    assert said_of(tmp_path, f"{BOX}{again}{hidden}", "4.0").startswith("simplified: Anchor")
+    assert "USE" not in said_of(tmp_path, f"{BOX}{again}{hidden}<LOD DEF='l'/><LOD USE='l'/>", "4.0")
+
+
+def test_a_use_of_a_use_inside_a_skipped_node_is_read(tmp_path: Path) -> None:
+    said = said_of(tmp_path, "<Group DEF='a'/><Text><Group DEF='b' USE='a'/></Text><Group USE='b'/>")
+    assert said == "skipped 1 node that jaxlight does not know: Text x1"
+
+
+def test_a_skipped_node_that_is_used_is_named_once(tmp_path: Path) -> None:
+    said = said_of(tmp_path, "<Text DEF='t'/><Group USE='t' translation='0 0 0'/>")
+    assert said == "skipped 2 nodes that jaxlight does not know: Group USE='t' x1, Text x1"

@@ -32,6 +32,8 @@ class ReadNotes:
     """Fields that change the picture elsewhere and that jaxlight does not have, by name."""
     unknown: dict[Hashable, list[str]] = dataclasses.field(default_factory=_lists)
     """Attributes left out, as `Material[a].difuseColor (line 7; diffuseColor is meant?)`, those alike under one key."""
+    beside_use: dict[Hashable, list[str]] = dataclasses.field(default_factory=_lists)
+    """What an element with a USE says besides, as `Transform.scale (USE='a', line 7)`, alike ones under one key."""
     clamped: list[str] = dataclasses.field(default_factory=list)
     """Values that were out of range, as `Material[a].diffuseColor (line 7)`."""
     remarks: list[str] = dataclasses.field(default_factory=list)
@@ -54,6 +56,8 @@ class ReadNotes:
             total = sum(map(len, self.unknown.values()))
             count = "1 attribute" if total == 1 else f"{total} attributes"
             found.append(f"skipped {count} that jaxlight does not know: {_grouped(self.unknown)}")
+        if self.beside_use:
+            found.append(f"ignored beside a USE: {_grouped(self.beside_use)}")
         if self.clamped:
             count = "1 value" if len(self.clamped) == 1 else f"{len(self.clamped)} values"
             found.append(f"clamped {count} to the allowed range: {_listed(self.clamped)}")

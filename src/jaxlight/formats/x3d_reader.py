@@ -23,7 +23,7 @@ from .x3d_fields import X3DField, fields_of, meant_attribute, python_name, versi
 from .x3d_groups import CHILD_HOLDERS, SIMPLIFIED, is_child_node, split_children
 from .x3d_source import TextureFile, X3DSource
 from .x3d_textures import TextureReader
-from .x3d_unread import CHANGES_THE_PICTURE, is_unread_field
+from .x3d_unread import CHANGES_THE_PICTURE, ON_EVERY_ELEMENT, is_of_html, is_unread_field
 from .x3d_values import SFBool, parse_floats
 from .xml_elements import Element, parse_xml
 
@@ -97,6 +97,8 @@ class _Reader:
         self._textures = TextureReader(ResourceFolder(path))
         self._defined: dict[str, nodes.Node | None] = {}
         """By DEF name; None: a node that was skipped."""
+        self._tags: dict[str, str] = {}
+        """By DEF name: what the nodes are called in the file."""
         self._set_aside: dict[str, Element] = {}
         """Elements with a DEF inside skipped ones; read when a USE asks for them."""
         self._read_early: dict[Element, nodes.Node | None] = {}
@@ -156,6 +158,7 @@ class _Reader:
                 raise self._error(element, f"USE='{shown}': too many skipped nodes use one another")
             self._detours += 1
             original = self._set_aside.pop(name)
+            self._tags[name] = original.tag
             self._defined[name] = self._read(original) if _is_known(original) else None
             self._read_early[original] = self._defined[name]
             self._detours -= 1
@@ -164,7 +167,20 @@ class _Reader:
         node = self._defined[name]
         if node is None:
             self.notes.skipped[f"{element.tag} USE='{shown}'"] += 1
+        else:
+            self._note_beside_use(element, f"USE='{shown}'", self._tags[name])
         return node
+
+    def _note_beside_use(self, element: Element, use: str, tag: str) -> None:
+        """What an element says of a node that it only uses again."""
+        line, beside = f"line {element.line}", self.notes.beside_use
+        if element.tag != tag:
+            beside[element.tag, "as", tag].append(f"the name {element.tag} ({use} is {with_article(tag)}, {line})")
+        for attribute in element.attributes:
+            if attribute not in ON_EVERY_ELEMENT and not is_of_html(attribute):
+                beside[element.tag, attribute].append(f"{element.tag}.{attribute} ({use}, {line})")
+        if element.children:
+            beside[element.tag].append(f"what is in {element.tag} ({use}, {line})")
 
     def _make(self, element: Element, made: list[tuple[Element, nodes.Node | None]]) -> nodes.Node:
         """The node of an element whose children are made."""
@@ -211,7 +227,7 @@ class _Reader:
                 node = nodes.Switch(children=(node,))
                 self._depths[node] = depth + 1
         if name:
-            self._defined[name] = node
+            self._defined[name], self._tags[name] = node, element.tag
             self._set_aside.pop(name, None)
         return node
 
