@@ -74,6 +74,14 @@ def test_errors_name_file_line_and_cause(tmp_path: Path, text: str, message: str
     assert isinstance(caught.value, ValueError)
 
 
+@pytest.mark.parametrize("factor", ["", "conversionFactor='0'", "conversionFactor='x'", "conversionFactor='1e999'"])
+def test_a_unit_without_its_factor_is_an_error(tmp_path: Path, factor: str) -> None:
+    path = tmp_path / "scene.x3d"
+    path.write_text(x3d("", head=f"<head>\n<unit category='angle' name='deg' {factor}/></head>"))
+    with pytest.raises(SceneFileError, match=r":3: unit\.conversionFactor: expected a number > 0, got '"):
+        load(path)
+
+
 def test_a_singular_transform_is_an_error_of_the_file(tmp_path: Path) -> None:
     path = tmp_path / "scene.x3d"
     path.write_text(x3d("<Transform DEF='flat' scale='1 1e-40 1'/>"))

@@ -42,8 +42,9 @@ def test_textures_come_from_beside_the_file_with_the_bottom_row_first(tmp_path: 
         ("missing.png", "no such file"),
         ("../secret.png", "outside the scene's folder"),
         ("link.png", "outside the scene's folder"),
-        ("{absolute}", "outside the scene's folder"),
-        ("C:\\\\secret.png", "outside the scene's folder"),
+        ("{absolute}", "is an absolute path; only files beside the scene are read"),
+        ("{beside}", "is an absolute path; only files beside the scene are read"),
+        ("C:\\\\secret.png", "is an absolute path"),
         ("http://127.0.0.1:9/a.png", "is an address"),
         ("file:///etc/passwd", "is an address"),
         ("note.png", "not an image"),
@@ -57,7 +58,8 @@ def test_textures_that_cannot_be_had_are_absent_and_named(tmp_path: Path, url: s
     Image.new("RGB", (2, 2)).save(tmp_path / "secret.png")
     (folder / "link.png").symlink_to(tmp_path / "secret.png")
     (folder / "note.png").write_text("not a picture")
-    url = url.replace("{absolute}", str(tmp_path / "secret.png"))
+    Image.new("RGB", (2, 2)).save(folder / "beside.png")
+    url = url.format(absolute=tmp_path / "secret.png", beside=folder / "beside.png")
     with pytest.warns(SceneFileWarning, match=f"1 file not used.*{reason}.*line 3"):
         texture = texture_of(folder / "scene.x3d", f'"{url}"')
     assert texture.image is None

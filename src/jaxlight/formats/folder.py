@@ -21,7 +21,7 @@ class ResourceFolder:
         """The file that a relative reference names.
 
         Raises:
-            ValueError: it points to a network or outside the folder, or there is no such file; says which.
+            ValueError: it is absolute, points to a network or outside the folder, or there is no such file; says which.
         """
         for place in self.places(reference):
             if os.path.isfile(place):
@@ -32,7 +32,7 @@ class ResourceFolder:
         """Where a file of this reference is looked for, one place after the other.
 
         Raises:
-            ValueError: it points to a network or outside the folder.
+            ValueError: it is absolute, or points to a network or outside the folder.
         """
         if len(urllib.parse.urlsplit(reference).scheme) > 1:
             raise ValueError(f"{_shown(reference)} is an address; only files beside the scene are read")
@@ -42,10 +42,10 @@ class ResourceFolder:
         """Where a file of this name is or would be, behind all links; None: no file can have it.
 
         Raises:
-            ValueError: outside the folder.
+            ValueError: an absolute path, or outside the folder.
         """
         if PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor:
-            raise ValueError(f"{_shown(name)} is outside the scene's folder")
+            raise ValueError(f"{_shown(name)} is an absolute path; only files beside the scene are read")
         if len(name) > _LONGEST:
             return None
         try:

@@ -80,7 +80,8 @@ def _unit(path: Path, root: Element, category: str) -> float:
             except ValueError:
                 factor = 0.0
             if not 0 < factor < float("inf"):
-                raise SceneFileError(path, unit.line, f"conversionFactor: expected a number > 0, got {text[:40]!r}")
+                message = f"unit.conversionFactor: expected a number > 0, got {text[:40]!r}"
+                raise SceneFileError(path, unit.line, message)
     return factor
 
 
