@@ -35,14 +35,47 @@ def test_its_direction_has_length_one_whatever_the_rotation_is_rounded_to(dtype:
     np.testing.assert_allclose(got, np.maximum(cosine, 0), atol=3e-7)
 
 
+def flat(*children: nodes.Node) -> nodes.Transform:
+    return nodes.Transform(scale=(1, 0, 1), children=children)
+
+
 @pytest.mark.parametrize(
     "other",
-    [nodes.NavigationInfo(headlight=False), nodes.PointLight(on=False), nodes.DirectionalLight(color=(0, 0, 0))],
+    [
+        nodes.NavigationInfo(headlight=False),
+        nodes.PointLight(on=False),
+        nodes.DirectionalLight(color=(0, 0, 0)),
+        flat(nodes.PointLight()),
+        flat(nodes.Group(children=(nodes.Shape(), flat(nodes.SpotLight())))),
+        flat(nodes.Switch(which_choice=1, children=(nodes.Group(), nodes.DirectionalLight()))),
+    ],
 )
 def test_there_is_none_with_lights_or_where_navigation_info_says_so(other: nodes.Node) -> None:
     scene = Scene.from_nodes([BALL, other])
     samples = rasterize(scene, Camera.look_at((0, 0, 5), (0, 0, 0)), 16, 16)
     np.testing.assert_array_equal(np.asarray(shade(scene, samples))[:, :3], 0)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        flat(nodes.Group(children=(nodes.Shape(),))),
+        nodes.Switch(children=(nodes.PointLight(),)),
+        flat(nodes.Switch(which_choice=0, children=(nodes.Group(), nodes.PointLight()))),
+    ],
+)
+def test_lights_that_no_group_shows_count_for_nothing(other: nodes.Node) -> None:
+    directional = Scene.from_nodes([BALL, other]).directional
+    assert directional is not None and directional.headlight
+
+
+def test_lights_below_a_scale_of_0_are_looked_for_once() -> None:
+    """2^30 paths lead through the groups, and a thousand scales of 0 to them."""
+    group = nodes.Group(children=(nodes.Shape(),))
+    for _ in range(30):
+        group = nodes.Group(children=(group, group))
+    scene = Scene.from_nodes([BALL, *(flat(group) for _ in range(1000))])
+    assert scene.directional is not None and scene.directional.headlight
 
 
 def test_without_a_camera_it_is_said_where_it_shines() -> None:

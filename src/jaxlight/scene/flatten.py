@@ -35,6 +35,10 @@ class _Walk:
     fogs: list[tuple[nodes.Fog, np.ndarray]] = dataclasses.field(default_factory=list)
     backgrounds: list[PlacedBackground] = dataclasses.field(default_factory=list)
     navigation: list[nodes.NavigationInfo] = dataclasses.field(default_factory=list)
+    has_dark_light: bool = False
+    """Whether there is a light below a scale of 0."""
+    without_light: set[int] = dataclasses.field(default_factory=set)
+    """What was searched for such a light, by identity."""
     groups: int = 0
     visited: int = 0
     waiting: list[tuple[nodes.Node, np.ndarray, tuple[int, ...]]] = dataclasses.field(default_factory=list)
@@ -63,7 +67,7 @@ class _Walk:
             raise ValueError(TOO_MANY_PLACED)
         match node:
             case nodes.Transform() if 0.0 in node.scale:
-                pass
+                self.has_dark_light = self.has_dark_light or self.holds_light(node)
             case nodes.Transform():
                 own = transform_matrix(node)
                 if not is_invertible(own):
@@ -92,6 +96,18 @@ class _Walk:
                     f"scene: {with_article(type(node).__name__)} cannot stand among the children of a group"
                 )
 
+    def holds_light(self, top: nodes.Node) -> bool:
+        """Whether a light stands below, were no scale 0. A node without one is never searched again."""
+        waiting = [top]
+        while waiting:
+            node = waiting.pop()
+            if isinstance(node, _Light):
+                return True
+            if id(node) not in self.without_light:
+                self.without_light.add(id(node))
+                waiting.extend(node.children if isinstance(node, nodes.Transform) else shown_below(node))
+        return False
+
 
 def shown_below(node: nodes.Node) -> tuple[nodes.Node, ...]:
     """The children that a grouping node shows; other nodes have none."""
@@ -115,7 +131,8 @@ def scene_from_nodes(children: nodes.Node | Sequence[nodes.Node], *, dtype: Any 
     materials = _distinct(shape.appearance.material for shape, _, _ in walk.shapes if shape.appearance)
     textures = _distinct(_texture(shape) for shape, _, _ in walk.shapes)
     lights = list(walk.lights)
-    headlight = not lights and all(info.headlight for info in walk.navigation[:1])
+    no_light = not lights and not walk.has_dark_light
+    headlight = no_light and all(info.headlight for info in walk.navigation[:1])
     if headlight:
         lights.append((_HEADLIGHT, IDENTITY, 0))
 
