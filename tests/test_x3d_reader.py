@@ -389,6 +389,15 @@ def test_a_rounded_right_angle_and_an_intensity_above_one_are_in_range(tmp_path:
     assert nodes_equal(light, n.SpotLight(intensity=3, cut_off_angle=math.pi / 2, beam_width=1.570796))
 
 
+def test_a_sky_ends_at_half_a_turn(tmp_path: Path) -> None:
+    (tmp_path / "a.x3d").write_text(x3d("<Background skyAngle='-1 4' skyColor='0 0 0 1 1 1 0 0 0'/>"))
+    with pytest.warns(SceneFileWarning, match=r"clamped 1 value to the allowed range: Background.skyAngle \(line 3\)$"):
+        (clamped,) = read_nodes(tmp_path / "a.x3d").children
+    assert isinstance(clamped, n.Background) and clamped.sky_angle == pytest.approx((0, math.pi), abs=2e-4)
+    sky = only_node(tmp_path, "<Background skyAngle='1.57 3.1416' skyColor='0 0 0 1 1 1 0 0 0'/>")
+    assert isinstance(sky, n.Background) and sky.sky_angle == (1.57, 3.1416)
+
+
 def test_loading_a_file_equals_building_the_scene_in_python(tmp_path: Path) -> None:
     path = tmp_path / "scene.x3d"
     path.write_text(x3d("\n".join(text for text, _ in NODES)))

@@ -31,6 +31,9 @@ _BY_ANNOTATION: dict[Any, FieldType] = {
 _SMALLEST_CONE = 1e-6
 """Radians. Files write a beamWidth of 0; the range is (0, pi/2]."""
 
+_ROUNDED = 1e-4
+"""Radians by which an angle may be above its range, as files write 1.5708 for pi/2."""
+
 _ANGLES = {
     "beam_width", "crease_angle", "cut_off_angle", "field_of_view", "orientation", "rotation", "scale_orientation",
     "sky_angle",
@@ -124,7 +127,9 @@ def _range(kind: type[nodes.Node], name: str) -> tuple[float, float]:
         return 0.0, math.inf  # a node takes any number: none has a fog (reading 5)
     allowed = allowed_range(kind, name)
     if allowed == SPOT_ANGLE:
-        return _SMALLEST_CONE, math.pi / 2 + 1e-4  # the node takes a rounded pi/2 for pi/2
+        return _SMALLEST_CONE, math.pi / 2 + _ROUNDED  # the node takes a rounded pi/2 for pi/2
+    if name == "sky_angle":
+        return 0.0, math.pi + _ROUNDED
     if name == "image" or allowed.open_below:
         return -math.inf, math.inf
     return allowed.lower, allowed.upper
