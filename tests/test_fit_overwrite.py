@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from test_fit_checkpoint import run
+from test_fit_checkpoint import FREE, OTHERS, run
 
 NOT_OVER = "belongs to a fit that is not over: resume=True (--resume) carries it on, overwrite=True (--overwrite)"
 
@@ -48,3 +48,26 @@ def test_a_file_that_is_no_checkpoint_is_not_replaced(tmp_path: Path, name: str)
     with pytest.raises(ValueError, match=re.escape(f"{name}: is no checkpoint that can be read; overwrite=True")):
         run(tmp_path)
     assert list(contents(tmp_path)) == [name]
+
+
+@pytest.fixture(scope="module")
+def over(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the checkpoints of a fit that is over."""
+    folder = tmp_path_factory.mktemp("over")
+    assert run(folder).converged
+    return folder
+
+
+@pytest.mark.parametrize("case", OTHERS)
+def test_what_another_fit_found_is_not_replaced(over: Path, case: str) -> None:
+    before = contents(over)
+    said = f"{over / 'fit.npz'}: belongs to another fit, whose results would be lost; overwrite=True (--overwrite)"
+    with pytest.raises(ValueError, match=re.escape(said)):
+        run(over, **OTHERS[case])
+    assert contents(over) == before
+
+
+def test_what_another_fit_found_is_replaced_if_told_to(tmp_path: Path) -> None:
+    run(tmp_path)
+    assert run(tmp_path, free=FREE[:1], overwrite=True).converged
+    assert run(tmp_path, free=FREE[:1], max_steps=200, checkpoint_seconds=1).converged  # the same fit, which is over

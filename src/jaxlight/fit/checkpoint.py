@@ -23,7 +23,7 @@ import numpy as np
 from ..formats.safe_write import drafts_of, written_whole
 from ..scene.flags import Flags
 from .archive import array_in
-from .earlier import previous_of
+from .earlier import LARGEST_HEADER, previous_of, spare_unfinished
 from .problem import Problem
 from .run import FitState, begin
 from .solver import BoundedLevenbergMarquardt
@@ -108,10 +108,14 @@ class Checkpoint:
             raise ValueError(f"{'; '.join(damages)}; remove what is damaged to begin anew")
         return None
 
+    def spare_earlier(self) -> None:
+        """Raise ValueError if what is there would be lost: anything but this fit, over."""
+        spare_unfinished(self.path, self.previous, fit=self._digest)
+
     def _read(self, path: Path) -> Saved:
         try:
             with zipfile.ZipFile(path) as file:
-                header = self._header(path, array_in(file, "header", 1 << 16))
+                header = self._header(path, array_in(file, "header", LARGEST_HEADER))
                 history = array_in(file, "history", 8 * len(Step._fields) * MAX_STEPS)
                 arrays = [
                     self._checked(name, array_in(file, name, leaf.size * leaf.dtype.itemsize), leaf)
@@ -138,7 +142,7 @@ class Checkpoint:
         if header.get("problem") != self._digest:
             raise _Refused(
                 f"{path}: belongs to another fit: scene, views, free fields, precision and options must be those with "
-                "which it was written; `overwrite` begins anew"
+                "which it was written; overwrite=True (--overwrite) begins anew"
             )
         return header
 

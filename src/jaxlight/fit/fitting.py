@@ -23,7 +23,6 @@ from ..scene.scene import Scene
 from ..tracing import refuse_inside
 from .checkpoint import Checkpoint, CheckpointWarning
 from .chosen import canonical
-from .earlier import spare_unfinished
 from .interrupts import held_back, remembered
 from .minimisers import check_minimiser, minimise
 from .outcomes import Outcome, ending_of, message_of, outcome_of
@@ -178,8 +177,8 @@ def fit(
         checkpoint_seconds: least time from one checkpoint to the next; 0: one after every step.
         resume: carry on from the checkpoint, to the same numbers as if there had been no interruption; begin if there
             is none yet. Random starts are not explored again.
-        overwrite: begin anew even if the checkpoint is that of a fit that is not over, which is lost then. One that is
-            over is replaced in any case.
+        overwrite: begin anew even if the checkpoint is that of a fit that is not over, or of another, which is lost
+            then. One of the same fit that is over is replaced in any case.
 
     Returns:
         The fitted scene and numbers, how the fit ended, and what is not known. A fit that did not converge is no error:
@@ -220,7 +219,7 @@ def fit(
         run = (starts, seed, description.labels, description.view_names)
         kept = Checkpoint(checkpoint, problem, solver, run)
         if not (resume or overwrite):
-            spare_unfinished(kept.path, kept.previous)
+            kept.spare_earlier()
         saved = kept.load() if resume else None
         if saved is not None:
             state, history = saved
