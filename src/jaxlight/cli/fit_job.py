@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from .files import files_of_scene, spare
 from .fit_views import make_views
+from .folder import alone_in
 from .interrupts import Interrupts
 from .options import use_precision
 from .problem import FitProblem, Source, blamed_by_name, blamed_on, input_files
@@ -56,12 +57,12 @@ class FitJob:
 
     def run(self) -> int:
         """Fit, write the results, and say how it went; the exit status."""
-        with _heard() as warned:
-            return self._run(warned)
-
-    def _run(self, warned: list[str]) -> int:
-        problem, source = self.problem, self.source
         folder = self._folder()
+        with alone_in(folder), _heard() as warned:
+            return self._run(folder, warned)
+
+    def _run(self, folder: Path, warned: list[str]) -> int:
+        problem, source = self.problem, self.source
         *results, log, checkpoint = outputs(problem, folder)
         use_precision(problem.precision)
         with stages(2) as stage:
