@@ -114,3 +114,14 @@ def test_where_folders_cannot_be_locked_fits_run_all_the_same(monkeypatch: pytes
 
     monkeypatch.setattr(fcntl, "flock", unable)
     assert main([*WORDS, "--max-steps", "1"]) == 1
+
+
+@pytest.mark.parametrize("name", ["scene.x3d", "view_0.png", "report.html", "fit.json", "log.jsonl", "checkpoint.npz"])
+@pytest.mark.parametrize("more", [[], ["--overwrite"]], ids=["plain", "overwrite"])
+def test_a_folder_in_the_place_of_a_result_is_told_before_the_work(
+    name: str, more: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("fitted", name).mkdir(parents=True)
+    assert main([*WORDS, *more]) == 2
+    assert capsys.readouterr().err == f"jaxlight: error: fitted/{name}: expected a file, got a folder\n"
+    assert [path.name for path in Path("fitted").iterdir()] == [name] and not list(Path("fitted", name).iterdir())

@@ -132,7 +132,11 @@ class FitJob:
             loss_scale_of(problem)
         if problem.output.exists() and not problem.output.is_dir():
             raise ValueError(f"{problem.output}: expected a folder, got a file")
-        spare(input_files(problem), outputs(problem, problem.output))
+        files = outputs(problem, problem.output)
+        for path in files:
+            if path.is_dir():
+                raise ValueError(f"{path}: expected a file, got a folder")
+        spare(input_files(problem), files)
         return problem.output
 
     def _spare_others(self, folder: Path) -> None:
