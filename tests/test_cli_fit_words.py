@@ -25,6 +25,10 @@ BAD: dict[str, tuple[list[str], str]] = {
     "no samples": (["--samples", "0"], "--samples: expected a whole number of samples a pixel in [1, 256], got 0"),
     "no saturation": (["--saturated", "nan"], "--saturated: expected a number, got nan"),
     "full below black": (["--saturated", "-1"], "--saturated: expected a number > 0, got -1"),
+    "full at a level": (
+        ["--saturated", "250"],
+        "--saturated: expected a number <= 1, where the numbers of target.png end, or inf for none, got 250",
+    ),
     "begin and go on": (["--resume", "--overwrite"], "--overwrite: expected --resume or --overwrite, not both"),
     "a scale of squares": (["--loss-scale", "3"], "--loss-scale: squares have none; leave it out"),
     "steps in words": (["--max-steps", "abc"], "--max-steps: expected a whole number, got 'abc'"),

@@ -220,6 +220,11 @@ MISTAKES = {
         "samples = 0\nmask =",
         "10: views[1].samples: expected a whole number of samples a pixel in [1, 256]",
     ),
+    "full at a level": (
+        "mask =",
+        "saturated = 250\nmask =",
+        "10: views[1].saturated: expected a number <= 1, where the numbers of side.png end, or inf for none, got 250",
+    ),
     "a scale of squares": ("[start]", "loss_scale = 0\n[start]", "4: loss_scale: squares have none; leave it out"),
     "no path": ('path = "Material[body].diffuse_color"', "path = []", "free: expected a path or several, got ()"),
 }
@@ -377,6 +382,22 @@ def test_what_a_picture_cannot_show_is_left_out(folder: Path) -> None:
     np.testing.assert_array_equal(png.mask, rgba[..., 3] > 0)
     np.testing.assert_array_equal(exr.mask, rgba[..., 3] == 1)
     assert (png.saturated, exr.saturated, dim.saturated, bright.saturated) == (1.0, None, 1.0, None)
+
+
+def test_pictures_of_floats_are_full_anywhere(folder: Path) -> None:
+    """Also where no number of theirs is above 1; those of whole numbers end there, or nowhere."""
+    import jaxlight as jl
+
+    pytest.importorskip("OpenImageIO")
+    Image.fromarray(np.full((SIZE, SIZE), 0.5, np.float32)).save(folder / "dim.tif")
+    jl.write_image(folder / "dim.exr", np.full((SIZE, SIZE, 3), 0.5))
+    entries = (("dim.tif", "3"), ("dim.exr", "3"), ("front.png", "inf"), ("front.png", "1"))
+    views = [f'[[views]]\npicture = "{name}"\nsaturated = {limit}\n' for name, limit in entries]
+    path = folder / "problem.toml"
+    path.write_text(GOOD.partition("[[views]]")[0] + "".join(views))
+    file = ProblemFile(path)
+    made = make_views(file.problem, file, jl.load(file.problem.scene))
+    assert [view.saturated for view in made] == [3, 3, np.inf, 1]
 
 
 def test_a_picture_of_a_background_is_decoded_like_the_views(folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,12 +40,15 @@ def _make_view(
     view: ViewProblem, name: str, row: int, source: Source, scene: jaxlight.Scene, known: dict[Any, Any]
 ) -> jaxlight.View:
     from jaxlight import View, decode, read_image
-    from jaxlight.formats.images import is_exr
+    from jaxlight.formats.images import holds_levels, is_exr
     from jaxlight.formats.levels import is_chosen
 
     with blamed_on(source, "views", row, "picture"):
         target, opaque = _colors_and_opaque(view.picture)
     height, width = target.shape[:2]
+    if view.saturated is not None and 1 < view.saturated < math.inf and holds_levels(view.picture):
+        allowed = f"a number <= 1, where the numbers of {view.picture.name} end, or inf for none"
+        raise source.error(("views", row, "saturated"), f"expected {allowed}, got {view.saturated:g}")
 
     def beside(field: str, *, grey: bool) -> Any:
         """A picture of the same size: [height, width], or with its components."""

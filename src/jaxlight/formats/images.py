@@ -11,7 +11,7 @@ import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from PIL import Image, ImageOps
@@ -32,6 +32,7 @@ from .limits import MAX_PIXELS, as_path, read_bounded
 from .quantize import quantize
 from .safe_write import written_whole
 
+_Read = TypeVar("_Read")
 _PILLOW_FORMATS = ("PNG", "JPEG", "BMP", "GIF", "TIFF", "WEBP")
 _MODES = {1: "L", 2: "LA", 3: "RGB", 4: "RGBA"}
 MAX_JPEG_SIDE = 65500
@@ -78,6 +79,11 @@ def is_exr(path: Path) -> bool:
         return file.read(len(_EXR)) == _EXR
 
 
+def holds_levels(path: Path) -> bool:
+    """Whether a file that can be read holds whole numbers, which end at 1 when they are read: not floats."""
+    return not is_exr(path) and _read_with_pillow(read_bounded(path), path, lambda image: image.mode != "F")
+
+
 def decode_image(data: bytes, path: Path) -> np.ndarray:
     """As `read_image`, from the content of a file; `path` names it in messages."""
     if data.startswith(_EXR):
@@ -118,7 +124,7 @@ def read_levels(path: Path) -> np.ndarray:
     return _read_with_pillow(data, path, read)
 
 
-def _read_with_pillow(data: bytes, path: Path, read: Callable[[Image.Image], np.ndarray]) -> np.ndarray:
+def _read_with_pillow(data: bytes, path: Path, read: Callable[[Image.Image], _Read]) -> _Read:
     """What `read` makes of the image; whatever a decoder says of its content is a SceneFileError."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's own word on large images; the limit here is ours
