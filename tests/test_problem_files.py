@@ -209,7 +209,7 @@ MISTAKES = {
         'free = ["View[side].expo", ',
         "2: free[0]: there is no field 'View[side].expo'",
     ),
-    "all masked": ("mask =", 'name = "lone"\nmask =', "8: views[1]: mask, weight and coverage leave no point to fit"),
+    "all masked": ("mask =", 'name = "lone"\nmask =', "11: views[1].mask: "),
     "one name for two": (
         '"mask.png"',
         '"mask.png"\nname = "front"\n[[views]]\npicture = "side.png"\nname = "front"',

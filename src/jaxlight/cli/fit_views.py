@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .cameras import camera_of
-from .problem import FitProblem, MapsProblem, Source, ViewProblem, blamed_on
+from .problem import CameraProblem, FitProblem, MapsProblem, Source, ViewProblem, blamed_on
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,7 +41,6 @@ def _make_view(
 ) -> jaxlight.View:
     from jaxlight import View, decode, read_image
     from jaxlight.formats.images import holds_levels, is_exr
-    from jaxlight.formats.levels import is_chosen
 
     with blamed_on(source, "views", row, "picture"):
         target, opaque = _colors_and_opaque(view.picture)
@@ -67,19 +66,19 @@ def _make_view(
     background = beside("background", grey=False)
     if isinstance(view.background, Path):
         background = decode(background, view.decode)
-    mask = beside("mask", grey=True)
-    mask = None if mask is None else is_chosen(mask)
-    if opaque is not None:
-        mask = opaque if mask is None else mask & opaque
     where = (view.viewpoint, view.camera, view.maps, view.samples, width, height)
     if where not in known:
         try:
             known[where] = _samples(view, scene, width, height)
         except ValueError as error:
-            name, _, message = str(error).partition(": ")
-            if name == "samples":
-                raise source.error(("views", row, name), message) from None
-            raise source.error(("views", row, *_geometry_key(view)), str(error)) from None
+            key, message = _geometry_mistake(view, str(error))
+            raise source.error(("views", row, *key), message) from None
+    mask = beside("mask", grey=True)
+    if mask is not None:
+        with blamed_on(source, "views", row, "mask"):
+            mask = _chosen(mask, f"{view.mask}", known[where])
+    if opaque is not None:
+        mask = opaque if mask is None else mask & opaque
     # Integer formats end at 1; what lies there may have been brighter.
     ends_at_one = not (is_exr(view.picture) or (target > 1).any())
     return View(
@@ -109,10 +108,31 @@ def _colors_and_opaque(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     return image, None
 
 
-def _geometry_key(view: ViewProblem) -> tuple[str, ...]:
-    """The entry that says what is seen from where."""
+def _chosen(mask: np.ndarray, name: str, samples: jaxlight.SampleBuffer) -> np.ndarray:
+    """What a mask chooses, if that is something that is seen."""
+    import numpy as np
+
+    from jaxlight.formats.levels import is_chosen
+
+    chosen = is_chosen(mask, name)
+    seen = chosen.ravel()[np.asarray(samples.pixel)]
+    if seen.size and not seen.any():
+        brightest = f"its brightest number is {mask.max():.3g}"
+        reason = "it is dark wherever something is seen" if chosen.any() else brightest
+        raise ValueError(f"{name}: leaves nothing to fit: {reason}, and what is below 0.5 is not fitted")
+    return chosen
+
+
+def _geometry_mistake(view: ViewProblem, message: str) -> tuple[tuple[str, ...], str]:
+    """The entry that says what is seen from where, or the one in it that a message begins with; and what it says."""
+    name, _, said = message.partition(": ")
+    if name == "samples":
+        return (name,), said
     given = [name for name in ("maps", "camera", "viewpoint") if getattr(view, name) is not None]
-    return tuple(given[:1])
+    field, _, told = said.partition(": ")
+    if given[:1] == ["camera"] and field in (one.name for one in dataclasses.fields(CameraProblem)):
+        return ("camera", field), told
+    return tuple(given[:1]), message
 
 
 def _samples(view: ViewProblem, scene: jaxlight.Scene, width: int, height: int) -> jaxlight.SampleBuffer:

@@ -12,7 +12,7 @@ from ..arrays import known_numbers
 from ..scene import Scene, nodes
 from ..scene.checks import check_has_nodes
 from ..scene.document import PlacedViewpoint
-from ..scene.fields import number, whole
+from ..scene.fields import number, positive, whole
 from ..scene.transforms import IDENTITY, apply_to_points, rotation_matrix
 from .pattern import sample_pattern
 from .shapes import geometries_of, world_bounds
@@ -122,6 +122,8 @@ class Camera:
         if (intrinsics is not None) == any(given) or (any(given) and not all(given)):
             raise ValueError("Camera.from_intrinsics: expected a matrix K, or all of fx, fy, cx, cy")
         if intrinsics is None:
+            fx, fy = (positive(f"Camera.from_intrinsics: {name}", value) for name, value in (("fx", fx), ("fy", fy)))
+            cx, cy = (number(f"Camera.from_intrinsics: {name}", value) for name, value in (("cx", cx), ("cy", cy)))
             intrinsics = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
         matrix = _finite("Camera.from_intrinsics: K", intrinsics, (3, 3)).copy()
         matrix[:2, 2] += 0.5 - number("Camera.from_intrinsics: pixel_center", pixel_center)

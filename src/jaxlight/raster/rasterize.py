@@ -61,8 +61,8 @@ def rasterize(
     """
     check_has_nodes("rasterize: scene", scene)
     dtype = float_type("rasterize: dtype", dtype)
-    width, height = _size(width, width if height is None else height, samples)
     offsets = sample_pattern(samples)
+    width, height = _size(width, width if height is None else height, len(offsets))
     camera = _camera(scene, camera)
     placed = PlacedShapes.of(scene)
     triangles, faces = placed.prepared(camera, width, height)
@@ -156,8 +156,9 @@ def _size(width: int, height: int, samples: int) -> tuple[int, int]:
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= MAX_SIDE:
             raise ValueError(f"rasterize: {what}: expected a whole number of pixels in [1, {MAX_SIDE}], got {value!r}")
     width, height = int(width), int(height)
-    if width * height * (int(samples) if isinstance(samples, (int, np.integer)) else 1) > MAX_PICTURE_SAMPLES:
+    if width * height * samples > MAX_PICTURE_SAMPLES:
+        where = "samples" if samples > 1 else "rasterize"
         raise ValueError(
-            f"rasterize: {width} x {height} pixels with {samples} samples each exceed {MAX_PICTURE_SAMPLES} samples"
+            f"{where}: {width} x {height} pixels with {samples} samples each exceed {MAX_PICTURE_SAMPLES} samples"
         )
     return width, height
