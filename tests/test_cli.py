@@ -162,6 +162,8 @@ def test_info_as_json(run) -> None:
     assert description["nodes"]["PointLight"] == 1
     assert description["headlight"] is False
     fields = {field["path"]: field["value"] for field in description["fields"]}
+    without = [field["path"] for field in description["fields"] if not field["has_slope"]]
+    assert without == ["PointLight[key].radius", "SpotLight[rim].radius"]
     assert fields["SpotLight[rim].cut_off_angle"] == 0.7
     assert fields["PointLight[key].location"] == [2, 3, 4]
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+import jaxlight
 from fit_scenes import sphere_picture
 from jaxlight import LightingOptions, Scene, nodes, write_image
 from jaxlight.cli import main
@@ -138,3 +141,34 @@ def test_readings_are_the_options_of_the_library_with_its_defaults() -> None:
     changed = Reading(texture_mode="modulate", fog_unlit=False, specular_gate=True, support_level=1, accuracy="fast")
     for field in dataclasses.fields(Reading):
         assert getattr(changed, field.name) == getattr(changed.lighting_options(), field.name) != field.default
+
+
+def test_without_a_tolerance_a_step_has_no_share_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("scene.x3d").write_text(SCENE)
+    write_image("target.png", np.clip(sphere_picture(24), 0, 1))
+    words = "fit scene.x3d target.png --output fitted --free Material[body].diffuse_color --rtol 0 --atol 0"
+    main([*words.split(), "--max-steps", "3"])
+    heading, *steps = capsys.readouterr().err.splitlines()
+    column = heading.split().index("step/tol")
+    assert [line.split()[column] for line in steps] == ["-"] * len(steps) and steps
+
+
+def test_numbers_are_printed_also_where_the_results_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "fitted/scene.x3d")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(jaxlight, "save", full)
+    Path("scene.x3d").write_text(SCENE)
+    write_image("target.png", np.clip(sphere_picture(24), 0, 1))
+    words = "fit scene.x3d target.png --output fitted --quiet --free Material[body].diffuse_color"
+    assert main(words.split()) == 2
+    said = capsys.readouterr()
+    assert said.err == "jaxlight: error: fitted/scene.x3d: No space left on device\n"
+    assert said.out.startswith("Converged in ") and "Material[body].diffuse_color.r" in said.out
+    assert "written:" not in said.out

@@ -108,8 +108,10 @@ class FitJob:
             if not result.history:
                 print(result.message, file=sys.stderr)
                 return INTERRUPTED
-            textures = self._write(result, views, results, warned)
-            print(_summary(result))
+            try:
+                textures = self._write(result, views, results, warned)
+            finally:  # the numbers are not lost with a full disk, nor the files with a reader that went away
+                print(_summary(result))
             print(f"\nwritten: {', '.join(str(path) for path in (*results, *textures))}")
             if interrupts.came or result.outcome == "interrupted":
                 return INTERRUPTED
@@ -242,9 +244,10 @@ class _StepLines:
             self.begun = True
         left = "" if math.isnan(step.seconds_left) else f"{step.seconds_left:.2f}"
         refused = "" if step.accepted else "  refused"
+        tolerances = f"{step.step_norm:.2e}" if math.isfinite(step.step_norm) else "-"
         part = "" if step.part == 1 else f"  {100 * step.part:.3g} % of the samples"
         print(
-            f"{step.step:5d} {step.loss:12.6g} {step.rms:12.6g} {step.gradient:10.2e} {step.step_norm:10.2e} "
+            f"{step.step:5d} {step.loss:12.6g} {step.rms:12.6g} {step.gradient:10.2e} {tolerances:>10} "
             f"{step.damping:9.1e} {step.seconds:8.2f} {left:>8}{refused}{part}",
             file=sys.stderr,
             flush=True,

@@ -102,7 +102,12 @@ def _fields(scene: Scene) -> list[dict[str, Any]]:
 
     headlight = scene.directional is not None and scene.directional.headlight  # in no file: it cannot be fitted
     return [
-        {"path": field.path, "value": _value(field.value(scene)), "range": str(field.leaf.range)}
+        {
+            "path": field.path,
+            "value": _value(field.value(scene)),
+            "range": str(field.leaf.range),
+            "has_slope": field.leaf.field != "radius",
+        }
         for field in fields(scene)
         if not (headlight and field.leaf.kind == "DirectionalLight")
     ]
@@ -153,8 +158,7 @@ def _as_text(title: str, description: dict[str, Any]) -> str:
 
 
 def _allowed(field: dict[str, Any]) -> str:
-    is_jump = field["path"].endswith(".radius")
-    return field["range"] + (" (no slope: a fit does not move it)" if is_jump else "")
+    return field["range"] + ("" if field["has_slope"] else " (no slope: a fit does not move it)")
 
 
 def _camera(view: dict[str, Any]) -> str:
