@@ -155,7 +155,7 @@ def test_numbers_at_a_bound_are_told_and_taken_as_known() -> None:
     found = result.uncertainty
     assert (f"{DIFFUSE}.r", "upper") in found.at_bound
     assert found.standard_error[0] == 0 and np.all(found.standard_error[1:3] > 0)
-    assert f"{DIFFUSE}.r lies on its upper bound" in found.messages()
+    assert f"{DIFFUSE}.r lies on its upper bound, beyond which it would go: no error is given" in found.messages()
 
 
 def test_a_number_of_which_both_bounds_are_one_is_known() -> None:

@@ -102,7 +102,11 @@ class Uncertainty:
         ]
         lines += self.remarks
         lines += [ambiguity.text for ambiguity in self.ambiguities]
-        lines += [f"{label} lies on its {side} bound" for label, side in self.at_bound]
+        held = {label for label, error in zip(self.labels, self.standard_error, strict=True) if error == 0}
+        lines += [
+            f"{label} lies on its {side} bound{', beyond which it would go: no error is given' if label in held else ''}"
+            for label, side in self.at_bound
+        ]
         lines += [f"{label} is hardly seen: its standard error is {error:.2g}" for label, error in self.hardly_seen]
         lines += [
             f"{a} and {b} are hard to tell apart: the correlation of their errors is {value:+.4f}"
