@@ -104,7 +104,7 @@ class Uncertainty:
         lines += [ambiguity.text for ambiguity in self.ambiguities]
         held = {label for label, error in zip(self.labels, self.standard_error, strict=True) if error == 0}
         lines += [
-            f"{label} lies on its {side} bound{', beyond which it would go: no error is given' if label in held else ''}"
+            f"{label} lies on its {side} bound" + (", beyond which it would go: no error is given" * (label in held))
             for label, side in self.at_bound
         ]
         lines += [f"{label} is hardly seen: its standard error is {error:.2g}" for label, error in self.hardly_seen]
