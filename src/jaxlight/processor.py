@@ -36,9 +36,29 @@ class Sizes(NamedTuple):
 
 # What some ten thousand numbers are computed from stays in a core's cache. Many lights leave it: parts of them are
 # evaluated anew for derivatives.
-CPU = Sizes(1024, 8, 1 / 16, 10_240, 2**17, 2**17, 2**16, 64, 128)
+CPU = Sizes(
+    tile=1024,
+    group=8,
+    padding=1 / 16,
+    planes=10_240,
+    lights=2**17,
+    largest_plane=2**17,
+    chunk=2**16,
+    clusters=64,
+    derived_clusters=128,
+)
 
-GPU = Sizes(2**18, 16, 1 / 4, 2**25, 16, 2**25, 2**24, 2**16, 2**14)
+GPU = Sizes(
+    tile=2**18,
+    group=16,
+    padding=1 / 4,
+    planes=2**25,
+    lights=16,
+    largest_plane=2**25,
+    chunk=2**24,
+    clusters=2**16,
+    derived_clusters=2**14,
+)
 
 
 def for_cpu() -> bool:

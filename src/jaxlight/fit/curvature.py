@@ -19,7 +19,9 @@ from .box import BoxMinimum, minimise_in_box, minimise_quadratic
 from .sampling import TexelSampling
 
 CONJUGATE_STEPS = 100
+"""Of conjugate gradients at most, where texels are eliminated."""
 TOLERANCE = 1e-4
+"""Part of the slope that conjugate gradients may leave."""
 
 
 class NormalEquations(NamedTuple):

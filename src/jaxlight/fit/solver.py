@@ -25,8 +25,11 @@ from .search import GainRatio, SearchState
 from .strides import Strides
 
 MAX_DAMPING = 1e8
+"""From here on a fit is stuck: steps are too short to change anything."""
 KINK_DAMPING = 1e3
+"""Where steps as short as this lead upwards too, no slope leads down."""
 KINK_OFFSET = 0.25
+"""Standard errors that may be left to the optimum of the smooth model where a fit ends on a kink."""
 
 
 class SolverState(eqx.Module):

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from .changes import is_zero, merged
 from .own_sums import multilinear
-from .stage_derivatives import How, change_along, directions_of, each
+from .stage_derivatives import StageKind, change_along, directions_of, each
 from .stages import Stage
 from .unstored import Inlined, is_unstored
 
@@ -81,12 +81,12 @@ def _sums_jvp(primals, tangents):
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _sums_of_many(how: How, stage: Stage, colors: Array, operands: tuple[Any, ...]) -> Any:
+def _sums_of_many(how: StageKind, stage: Stage, colors: Array, operands: tuple[Any, ...]) -> Any:
     """Sums whose derivatives are those of some lights after the others."""
     return _sums_for_reverse(colors, each(how, stage, operands, ()))
 
 
-def _sums_of_many_jvp(how: How, primals: Any, tangents: Any) -> tuple[Any, Any]:
+def _sums_of_many_jvp(how: StageKind, primals: Any, tangents: Any) -> tuple[Any, Any]:
     (stage, colors, operands), (_, color_change, changes) = primals, tangents
     derived, how = () if how.derive is None else how.derive(stage, *operands), how._replace(derive=None)
     weights = each(how, stage, operands, derived)

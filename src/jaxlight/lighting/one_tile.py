@@ -29,7 +29,7 @@ from .sample_loops import UNROLLED, SampleLoops, SideBySide
 from .stages import Stage
 from .surface import MaterialRow, alpha, base_color
 from .terms import Haze, Received, fogged, haze, lit, received
-from .tile_inputs import How, Near, Run, TileInputs, read_tile
+from .tile_inputs import Near, Run, TileInputs, TileKind, read_tile
 from .unstored import stored
 from .vectors import Vector
 from .world import WorldLights, in_chunks
@@ -66,7 +66,7 @@ def tile_color(
     known before all tiles; `forward`: if derivatives are taken, then in forward mode.
     """
     single = lax.stop_gradient(prepared if single is None else single)
-    return _tile_color(How(run, plan, count, forward), prepared, single, samples, texel, index)
+    return _tile_color(TileKind(run, plan, count, forward), prepared, single, samples, texel, index)
 
 
 def rows_of_tiles(
@@ -76,7 +76,7 @@ def rows_of_tiles(
 
     Either they are of one block, or whole blocks, under at most UNROLLED lights.
     """
-    how = How(run, plan, count, with_alpha=True)
+    how = TileKind(run, plan, count, with_alpha=True)
     lanes = _lanes_of_loops(how, samples)
     stage, near, inputs = read_tile(
         SampleLoops(_always(how, samples, first), lanes=lanes), how, prepared, samples, None, first, lanes
@@ -90,14 +90,14 @@ def rows_of_tiles(
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _tile_color(
-    how: How, prepared: Prepared, single: Prepared, samples: SampleBuffer, texel: Array | None, index: Array
+    how: TileKind, prepared: Prepared, single: Prepared, samples: SampleBuffer, texel: Array | None, index: Array
 ) -> Color:
     always = _always(how, samples, index)
     lanes = _lanes_of_loops(how, samples)
     return mapped_axis_first(_color(SampleLoops(always, lanes=lanes), how, single, samples, texel, index, lanes))
 
 
-def _tile_color_jvp(how: How, primals: Any, tangents: Any) -> tuple[Color, Color]:
+def _tile_color_jvp(how: TileKind, primals: Any, tangents: Any) -> tuple[Color, Color]:
     def in_stages(prepared: Prepared, samples: SampleBuffer, texel: Array | None, index: Array) -> Color:
         stage = Stage(_always(how, samples, index), forward=how.forward)
         return mapped_axis_first(_color(stage, how, prepared, samples, texel, index, prepared.lanes))
@@ -109,12 +109,12 @@ def _tile_color_jvp(how: How, primals: Any, tangents: Any) -> tuple[Color, Color
 _tile_color.defjvp(_tile_color_jvp, symbolic_zeros=True)
 
 
-def _lanes_of_loops(how: How, samples: SampleBuffer) -> int:
+def _lanes_of_loops(how: TileKind, samples: SampleBuffer) -> int:
     """All samples of a block in one row; or a row for each cluster."""
     return samples.cluster if how.plan.culled else samples.tile * min(how.count, samples.group)
 
 
-def _always(how: How, samples: SampleBuffer, number: Array | int) -> Bool[Array, ""]:
+def _always(how: TileKind, samples: SampleBuffer, number: Array | int) -> Bool[Array, ""]:
     """True, but only the running program knows; `number` is at least 0."""
     alone = how.run.stop - how.run.start <= how.count
     return samples.tile_surface[0] >= 0 if alone else jnp.asarray(number) >= 0
@@ -122,7 +122,7 @@ def _always(how: How, samples: SampleBuffer, number: Array | int) -> Bool[Array,
 
 def _color(
     stage: Stage,
-    how: How,
+    how: TileKind,
     prepared: Prepared,
     samples: SampleBuffer,
     texel: Array | None,
@@ -140,14 +140,16 @@ def _color(
     return Color(rgb.astype(dtype).reshape(3, -1), opacity.reshape(-1))
 
 
-def _evaluated(how: How, near: Near | None, stage: Stage, inputs: TileInputs) -> Any:
+def _evaluated(how: TileKind, near: Near | None, stage: Stage, inputs: TileInputs) -> Any:
     """The equation; all of it in one of what a stage puts together, unless lights are evaluated in parts."""
     if near is None and sum(lights.count for lights in inputs.lights if lights is not None) <= UNROLLED:
         return stage.together(partial(_colors, how, None), inputs)
     return _colors(how, near, stage, inputs)
 
 
-def _colors(how: How, near: Near | None, stage: Stage, inputs: TileInputs) -> Float[Array, "components rows lanes"]:
+def _colors(
+    how: TileKind, near: Near | None, stage: Stage, inputs: TileInputs
+) -> Float[Array, "components rows lanes"]:
     """The equation; `near` is asked for if lights are culled."""
     position, eye = inputs.position.vector, Vector(*inputs.eye)
     # Lists of lights read them many times: planes, not numbers side by side.
@@ -157,7 +159,7 @@ def _colors(how: How, near: Near | None, stage: Stage, inputs: TileInputs) -> Fl
     return stage.together(partial(_mixed, how), inputs._replace(lights=(None,) * 3), light, tile)
 
 
-def _light(how: How, near: Near | None, stage: Stage, inputs: TileInputs, tile: Geometry) -> Received | None:
+def _light(how: TileKind, near: Near | None, stage: Stage, inputs: TileInputs, tile: Geometry) -> Received | None:
     """What the lights of all kinds send to a tile; None: there are none."""
     total = None
     for kind, (lights, plan) in enumerate(zip(inputs.lights, how.plan.lights, strict=True)):
@@ -191,7 +193,7 @@ def _of_some(stage: Stage, tile: Geometry, material: Any, first: Array) -> tuple
 
 
 def _received(
-    how: How,
+    how: TileKind,
     stage: Stage,
     lights: WorldLights,
     tile: Geometry,
@@ -206,7 +208,7 @@ def _received(
 
 
 def _mixed(
-    how: How, stage: Stage, inputs: TileInputs, light: Received | None, tile: Geometry
+    how: TileKind, stage: Stage, inputs: TileInputs, light: Received | None, tile: Geometry
 ) -> Float[Array, "components rows lanes"]:
     fog = None
     if inputs.fog is not None and how.plan.fog is not None:
@@ -217,7 +219,7 @@ def _mixed(
 
 
 def _colored(
-    how: How,
+    how: TileKind,
     shape: tuple[int, ...],
     material: MaterialRow | None,
     vertex_color: Array | None,

@@ -33,7 +33,7 @@ class Boundary(Protocol):
     def of_forms(self, forms: Forms, *operands: Any) -> Any: ...
 
 
-class How(NamedTuple):
+class StageKind(NamedTuple):
     """What is static of `Stage.each`."""
 
     function: Callable[..., Any]
@@ -58,14 +58,14 @@ class How(NamedTuple):
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def each(how: How, stage: Boundary, operands: tuple[Any, ...], derived: tuple[Any, ...]) -> Any:
+def each(how: StageKind, stage: Boundary, operands: tuple[Any, ...], derived: tuple[Any, ...]) -> Any:
     """`Stage.each`."""
     if how.derive is not None:
         derived = how.derive(stage, *operands)
     return stage.of_forms(how.forms, *operands, *derived)
 
 
-def _each_jvp(how: How, primals: Any, tangents: Any) -> Any:
+def _each_jvp(how: StageKind, primals: Any, tangents: Any) -> Any:
     (stage, operands, derived), (_, changes, _) = primals, tangents
     if how.derive is not None:  # here, where nothing moves: its change is counted with that of the operands
         derived, how = how.derive(stage, *operands), how._replace(derive=None)
@@ -91,7 +91,7 @@ def directions_of(operands: Any, changes: Any, *, inlined: bool = False) -> tupl
 
 
 def change_along(
-    how: How, stage: Boundary, operands: Any, derived: Any, results: Any, moving: list[int], directions: list[Any]
+    how: StageKind, stage: Boundary, operands: Any, derived: Any, results: Any, moving: list[int], directions: list[Any]
 ) -> Any:
     """The change of the results by those planes of the operands that move, see `directions_of`, behind a boundary.
 
@@ -104,7 +104,7 @@ def change_along(
 
 
 def _change(
-    how: How, stage: Boundary, operands: Any, derived: Any, results: Any, moving: list[int], directions: list[Any]
+    how: StageKind, stage: Boundary, operands: Any, derived: Any, results: Any, moving: list[int], directions: list[Any]
 ) -> Any:
     inside = how.shared_forms
     if how.forward and inside is not None:

@@ -27,7 +27,7 @@ from . import own_sums
 from .at_once import at_once
 from .clusters import Arrangement, InLanes
 from .running_sum import running_sum
-from .stage_derivatives import Forms, How, each, name_of
+from .stage_derivatives import Forms, StageKind, each, name_of
 from .unstored import stored
 
 LOOPS_ARE_HOISTED = jax.__version_info__ >= (0, 11)
@@ -184,6 +184,6 @@ class Stage(eqx.Module):
         wide: tuple[int, ...] = (),
         shared: Callable[..., Any] | None = None,
         has_forms: bool = False,
-    ) -> How:
+    ) -> StageKind:
         """What is static of `each` with these arguments."""
-        return How(function, () if self.forward else wide, shared, has_forms, self.forward, derive)
+        return StageKind(function, () if self.forward else wide, shared, has_forms, self.forward, derive)

@@ -41,7 +41,7 @@ class Run(NamedTuple):
     stop: int
 
 
-class How(NamedTuple):
+class TileKind(NamedTuple):
     """What is static of a tile."""
 
     run: Run
@@ -85,7 +85,7 @@ class Near(NamedTuple):
 
 def read_tile(
     stage: Stage,
-    how: How,
+    how: TileKind,
     prepared: Prepared,
     samples: SampleBuffer,
     texel: Array | None,
@@ -173,7 +173,7 @@ def tile_of(plane: Array, index: Array, tile: int) -> Array:
 
 def _near(
     stage: Stage,
-    how: How,
+    how: TileKind,
     samples: SampleBuffer,
     first: Array | int,
     lights: tuple[WorldLights | CulledLights | None, ...],

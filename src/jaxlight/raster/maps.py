@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..formats.levels import is_chosen
-from ..scene.fields import boolean, float_type, positive, vector3
+from ..scene.fields import boolean, float_type, positive, type_or_own, vector3
 from .camera import Camera, checked_rotation
 from .map_values import check_shape, fitted, map_values, surface_numbers
 from .pattern import morton
@@ -199,7 +199,7 @@ def _points(
 def _far_eye(view: Orthographic, points: np.ndarray, dtype: Any) -> np.ndarray:
     """FAR sizes away; in a type that does not hold that, as far as it holds, if its digits do not tell."""
     size = max(float(np.linalg.norm(np.ptp(points, axis=0))), view.pixel_size)
-    middle, about = points.mean(axis=0), jnp.finfo(jnp.result_type(float) if dtype is None else dtype)
+    middle, about = points.mean(axis=0), jnp.finfo(type_or_own(dtype))
     largest = float(about.max)
     distance, least = min(FAR * size, largest - np.abs(middle).max()), min(FAR, 1 / float(about.eps))
     if distance < least * size:

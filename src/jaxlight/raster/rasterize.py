@@ -18,7 +18,7 @@ from .placed import Hits, PlacedShapes
 from .samples import MANY_LIGHTS, SampleBuffer
 from .visibility import Prepared, barycentric, first_hits
 
-FAR = 1e4
+TOO_FAR = 1e4
 """How many times its own size what is seen may lie from the origin: 3 of the 7 digits of float32 are left there."""
 MAX_SIDE = 1 << 15
 MAX_PICTURE_SAMPLES = 1 << 26
@@ -96,7 +96,7 @@ def _warn_if_far(position: np.ndarray, eye: np.ndarray, dtype: np.dtype) -> None
         return
     places = np.concatenate([position, eye[None]])
     size, distance = np.ptp(places, axis=0).max(), np.abs(places).max()
-    if distance > FAR * size > 0:
+    if distance > TOO_FAR * size > 0:
         warnings.warn(
             f"rasterize: the scene lies {distance:.3g} from the origin, and what is seen of it is {size:.3g} in size: "
             f"few digits of its places are left in {dtype}; move it to the origin, or use float64",
