@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from ..lighting.compiling import quick_jit
 from .normal import view_residual
 from .problem import Problem
-from .residuals import reweight, slopes_of_heard
+from .residuals import is_limit, reweight, slopes_of_heard
 from .views import ViewData
 
 
@@ -39,12 +39,8 @@ def leftover(problem: Problem, values: Float[Array, " parameters"]) -> Leftover:
 
     def of_view(view: ViewData) -> Leftover:
         residual = view_residual(world, view)
-        beyond = jnp.zeros(residual.shape, bool)
-        if view.saturated is not None:
-            beyond |= view.target >= view.saturated
-        if view.dark is not None:
-            beyond |= view.target <= view.dark
-        said = (view.root_weight > 0) & ~(beyond & (residual == 0))
+        kept = is_limit(view.target, view.dark, view.saturated) & (residual == 0)
+        said = (view.root_weight > 0) & ~kept
         weight = reweight(*problem.rho, residual)
         heard = jnp.ones_like(residual) if weight is None else weight
         slopes = slopes_of_heard(*problem.rho, residual)

@@ -26,6 +26,7 @@ from ..image.encode import Transfer
 from ..scene.fields import string, strings
 from .fitting import Fit
 from .pictures import ViewPictures, view_pictures
+from .residuals import is_limit
 from .steps import Step
 from .views import View
 
@@ -131,7 +132,7 @@ def _setting(result: Fit) -> str:
 
 
 def _view_section(view: ViewPictures, transfer: Transfer) -> str:
-    difference = view.difference
+    difference, limits = view.difference, is_limit(view.target, view.dark, view.saturated)
     sizes = np.abs(difference[view.used])
     largest = float(np.max(sizes, initial=0))
     # A few pixels at rims must not make all others look right.
@@ -143,16 +144,12 @@ def _view_section(view: ViewPictures, transfer: Transfer) -> str:
         ("model", encode(view.model, transfer)),
         (
             f"model - target, blue -{scale:.3g} to red +{scale:.3g}, {SHOWN:.1%} within; grey: not looked at"
-            f"{'; 0 where a limit of the sensor is kept' if _has_limits(view) else ''}",
+            f"{'; 0 where a limit of the sensor is kept' if np.any(limits) else ''}",
             shown,
         ),
     ]
     heading = f"{html.escape(view.name)}: difference RMS {rms:.3g}, largest {largest:.3g}"
     return f"<h3>{heading}</h3>{_figures(view.name, figures)}"
-
-
-def _has_limits(view: ViewPictures) -> bool:
-    return bool(np.any(view.target >= view.saturated) or np.any(view.target <= view.dark))
 
 
 def _figures(of: str, figures: Sequence[tuple[str, Any]]) -> str:

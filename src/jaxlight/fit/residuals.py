@@ -35,6 +35,17 @@ def weighted_difference(
     return difference * root_weight
 
 
+def is_limit(target: ArrayLike, dark: ArrayLike | None, saturated: ArrayLike | None) -> Array:
+    """Where a target is a limit of the sensor instead of a measurement."""
+    target = jnp.asarray(target)
+    found = jnp.zeros(target.shape, bool)
+    if saturated is not None:
+        found |= target >= saturated
+    if dark is not None:
+        found |= target <= dark
+    return found
+
+
 def composited(color: Array, alpha: Array, background: Array | None) -> Array:
     """The colour of a sample over the background; alpha is ignored where there is none."""
     return color if background is None else alpha * color + (1 - alpha) * background

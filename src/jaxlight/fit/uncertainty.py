@@ -22,6 +22,7 @@ from .held import SIGNIFICANT, held_by_bounds, inverse_of_priors, inverse_of_see
 from .identify import Ambiguity, Partner, ambiguities, analyse
 from .leftover import Leftover, leftover
 from .problem import Description, Problem
+from .residuals import is_limit
 from .unresolved import FAR, off_by_priors
 from .widened import widened
 
@@ -313,15 +314,9 @@ def _remarks(problem: Problem, description: Description, loss: float, fitted: fl
 
 def _limits(problem: Problem) -> int:
     """Residuals that may be limits of the sensor instead of measurements."""
-    found = 0
-    for stack in problem.views:
-        target, beyond = np.asarray(stack.target), np.zeros(np.shape(stack.target), bool)
-        if stack.saturated is not None:
-            beyond |= target >= np.asarray(stack.saturated)[:, None, None]
-        if stack.dark is not None:
-            beyond |= target <= np.asarray(stack.dark)[:, None, None]
-        found += int(np.count_nonzero(beyond & (np.asarray(stack.root_weight) > 0)))
-    return found
+    limits = [jax.vmap(is_limit)(stack.target, stack.dark, stack.saturated) for stack in problem.views]
+    heard = [stack.root_weight > 0 for stack in problem.views]
+    return sum(int(np.count_nonzero(own & here)) for own, here in zip(limits, heard, strict=True))
 
 
 def _against_priors(problem: Problem, description: Description, found: np.ndarray, error: np.ndarray) -> list[str]:

@@ -41,7 +41,8 @@ def checked_rows(given: SampleRows, dtype: Any) -> SampleRows:
     """
     position = _rows("position", given.position, (3,))
     count = len(position)
-    color, texel_index, texel_weight, pixel, coverage = given[4:9]
+    color, texel_index, texel_weight = given.color, given.texel_index, given.texel_weight
+    pixel, coverage = given.pixel, given.coverage
     if color is not None:
         refuse_levels("SampleBuffer: color", known_numbers("SampleBuffer: color", color))
         color = _rows("color", color, (3, 4), count)
