@@ -164,6 +164,7 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
             return nothing_known(problem, description, "the loss or its derivative is not finite at them")
         squares_of_known_noise = description.noise_known and problem.loss_kind == "squares"
         left = None if squares_of_known_noise else Leftover(*map(float, leftover(wide, at)))
+        limits = _limits(problem) if squares_of_known_noise else 0
     found = np.asarray(values, np.float64)
     lower, upper = (np.asarray(a, np.float64)[:count] for a in (problem.parameters.lower, problem.parameters.upper))
     texels, found = found[count:], found[:count]
@@ -214,7 +215,7 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
         correlations=tuple(_correlations(covariance, labels, traded)),
         remarks=(
             *filter(None, [unknown]),
-            *_remarks(problem, description, float(reduced.loss), fitted, off),
+            *_remarks(problem, description, float(reduced.loss), fitted, limits, off),
             *_against_priors(problem, description, found, error),
             *_texels_on_bounds(problem, texels, reduced.rows),
         ),
@@ -278,7 +279,9 @@ def _why_unknown(description: Description, left: Leftover, fitted: float) -> str
     return ""
 
 
-def _remarks(problem: Problem, description: Description, loss: float, fitted: float, off: float) -> list[str]:
+def _remarks(
+    problem: Problem, description: Description, loss: float, fitted: float, limits: int, off: float
+) -> list[str]:
     said = [
         f"{label} has no `background`: it is taken for a picture of its surfaces alone, though some are transparent"
         for label in description.alone
@@ -302,7 +305,7 @@ def _remarks(problem: Problem, description: Description, loss: float, fitted: fl
                 f"model, and the errors do not allow for it"
             )
         # Of limits of the sensor that are kept nothing is left.
-        measured = freedom - _limits(problem)
+        measured = freedom - limits
         quiet = 2 * loss / measured if measured > 0 else 1.0
         if quiet < QUIETER**2 and quiet < 1 - SURELY * np.sqrt(2 / measured):
             said.append(
