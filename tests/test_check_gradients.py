@@ -53,6 +53,15 @@ def test_a_kink_is_no_error() -> None:
     assert check.passed and row.kinks > 150
 
 
+def test_a_field_that_changes_nothing_has_no_derivative() -> None:
+    """A radius that reaches everything, and the ambient part of a light that has none: differences are rounding."""
+    with precision("float64") as dtype:
+        scene = sphere_scene(key_light(attenuation=(0.9, 0.1, 0.02), radius=50.0), dtype=dtype)
+        fields = ["PointLight[key].radius", "Material[body].ambient_intensity"]
+        check = check_gradients(scene, sphere_samples(16, dtype=dtype), fields)
+    assert check.passed and [row.largest for row in check.rows] == [0.0, 0.0]
+
+
 def test_fields_that_are_switched_off_are_named() -> None:
     body = nodes.Shape(appearance=nodes.Appearance(material=material()), geometry=nodes.Sphere())
     with precision("float32") as dtype:

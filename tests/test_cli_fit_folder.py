@@ -50,6 +50,23 @@ def test_the_results_of_another_fit_are_replaced_only_if_told_to(capsys: pytest.
     assert main([*WORDS, PLACE]) == 0  # the same again
 
 
+def test_a_solver_without_checkpoints_replaces_results_only_if_told_to(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(WORDS) == 0
+    before = contents("fitted")
+    capsys.readouterr()
+    words = [*WORDS, "--solver", "bfgs"]
+    assert main(words) == 2
+    said = "is there, and fits by bfgs keep no checkpoint that tells of which fit; --overwrite replaces it"
+    assert capsys.readouterr().err == f"jaxlight: error: fitted/scene.x3d: {said}\n"
+    assert contents("fitted") == before
+    assert main([*words, "--overwrite"]) == 0
+    assert "BFGS" in json.loads(Path("fitted/fit.json").read_text())["message"]
+    assert not Path("fitted/checkpoint.npz").exists()
+    assert main(WORDS) == 2
+    said = "is there, and there is no checkpoint that tells of which fit; --overwrite replaces it"
+    assert capsys.readouterr().err == f"jaxlight: error: fitted/scene.x3d: {said}\n"
+
+
 def test_two_fits_at_once_do_not_share_a_folder(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -88,8 +88,8 @@ def test_files_that_no_fit_wrote_are_spared(
     words = ["fit", "ball.x3d", "target.png", "--output", "fitted", "--free", "Material[body].diffuse_color"]
     assert main(words) == 2
     file = Path("fitted", name)
-    said = f"jaxlight: error: {file}: is there, and no log of a fit beside it; --overwrite replaces it\n"
-    assert capsys.readouterr().err == said
+    said = "is there, and there is no checkpoint that tells of which fit; --overwrite replaces it"
+    assert capsys.readouterr().err == f"jaxlight: error: {file}: {said}\n"
     assert [path.name for path in Path("fitted").iterdir()] == [name] and file.read_text() == "mine"
     if name == "scene.x3d":
         assert main([*words, "--overwrite"]) == 0

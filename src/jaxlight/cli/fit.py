@@ -57,8 +57,8 @@ class Fit:
     resume: bool = False
     """Carry on from the checkpoint in --output, to the same numbers as if the fit had never stopped."""
     overwrite: bool = False
-    """Begin anew where --output holds the checkpoint of a fit that is not over or of another fit, or files that no fit
-    wrote."""
+    """Begin anew where --output holds the checkpoint of a fit that is not over or of another fit, or results of which
+    no checkpoint tells by which fit."""
     quiet: bool = False
     """No line for each step on stderr."""
     settings: Annotated[FitSettings, tyro.conf.arg(name="")] = dataclasses.field(default_factory=FitSettings)

@@ -70,17 +70,13 @@ class FitJob:
             scene = self._scene()
             spare(files_of_scene(problem.scene, scene), outputs(problem, folder))
             if not self.overwrite:
-                self._spare_others(folder)
+                self._spare_earlier(folder)
             stage("finding what is visible")
             views = make_views(problem, source, scene)
         from jaxlight import Free, fit
-        from jaxlight.fit.earlier import previous_of, spare_unfinished
+        from jaxlight.fit.earlier import previous_of
 
         method = _method(problem)
-        if method is not None and self.resume:
-            raise ValueError(f"--resume: the solver {problem.solver} has no checkpoints")
-        if method is not None and not self.overwrite:
-            spare_unfinished(checkpoint, previous_of(checkpoint))
         frees = [dataclasses.asdict(one) for one in problem.frees]
         with Interrupts() as interrupts:
             with blamed_by_name(source, [view.name for view in views], problem.frees):
@@ -108,6 +104,9 @@ class FitJob:
             if not result.history:
                 print(result.message, file=sys.stderr)
                 return INTERRUPTED
+            if method is not None:  # what is there is of the fit that is replaced
+                checkpoint.unlink(missing_ok=True)
+                previous_of(checkpoint).unlink(missing_ok=True)
             try:
                 textures = self._write(result, views, results, warned)
             finally:  # the numbers are not lost with a full disk, nor the files with a reader that went away
@@ -130,6 +129,8 @@ class FitJob:
             raise self.source.error(("free",), "expected at least one field (jaxlight info SCENE lists them)")
         if problem.starts > 1 and problem.solver != "levenberg-marquardt":
             raise self.source.error(("starts",), f"the solver {problem.solver} explores no random starts")
+        if self.resume and problem.solver != "levenberg-marquardt":
+            raise ValueError(f"--resume: the solver {problem.solver} has no checkpoints")
         with blamed_on(self.source, "loss"):
             loss_scale_of(problem)
         if problem.output.exists() and not problem.output.is_dir():
@@ -141,12 +142,20 @@ class FitJob:
         spare(input_files(problem), files)
         return problem.output
 
-    def _spare_others(self, folder: Path) -> None:
-        """Raise ValueError for a file of the name of a result where no fit has left its log or a checkpoint."""
-        *results, log, checkpoint = outputs(self.problem, folder)
-        strange = next((path for path in results if path.exists()), None)
-        if strange is not None and not (log.exists() or checkpoint.exists()):
-            raise ValueError(f"{strange}: is there, and no log of a fit beside it; --overwrite replaces it")
+    def _spare_earlier(self, folder: Path) -> None:
+        """Raise ValueError for what an earlier fit left, unless checkpoints tell whether it was this one."""
+        from jaxlight.fit.earlier import previous_of, spare_unfinished
+
+        *results, _, checkpoint = outputs(self.problem, folder)
+        solver = self.problem.solver
+        if solver != "levenberg-marquardt":
+            spare_unfinished(checkpoint, previous_of(checkpoint))
+            untold, why = [*results, checkpoint], f"fits by {solver} keep no checkpoint"
+        else:
+            untold, why = [] if checkpoint.exists() else results, "there is no checkpoint"
+        path = next((path for path in untold if path.exists()), None)
+        if path is not None:
+            raise ValueError(f"{path}: is there, and {why} that tells of which fit; --overwrite replaces it")
 
     def _scene(self) -> jaxlight.Scene:
         """The scene with its start values, which a file can hold; every free path leads somewhere in it."""

@@ -37,7 +37,8 @@ class GradientRow(NamedTuple):
 
     path: str
     largest: float
-    """Largest derivative of a colour or alpha of a sample by a number of the field (central differences)."""
+    """Largest derivative of a colour or alpha of a sample by a number of the field (central differences); 0 where that
+    is no more than rounding makes of them."""
     forward_error: float
     reverse_error: float
     kinks: int
@@ -146,7 +147,7 @@ def check_gradients(
     rows = []
     for field, own in zip(described, numbers, strict=True):
         smooth = np.all([slopes[k].smooth for k in own.tolist()], axis=0)
-        largest = max(float(np.max(np.abs(slopes[k].value))) for k in own.tolist())
+        largest = max(slopes[k].largest for k in own.tolist())
         scale = max(largest, *(1e5 * slopes[k].noise for k in own.tolist()))
         forward = reverse = 0.0
         for k in own.tolist():
@@ -219,6 +220,12 @@ class _Slopes(NamedTuple):
     def value(self) -> np.ndarray:
         """The central difference."""
         return (self.below + self.above) / 2
+
+    @property
+    def largest(self) -> float:
+        """The largest difference of a sample; 0 where all are rounding."""
+        largest = float(np.max(np.abs(self.value)))
+        return largest if largest > self.noise else 0.0
 
     def distance(self, derivative: np.ndarray) -> np.ndarray:
         """How far a derivative is off: from the difference, or at a kink from all values between both sides and 0."""
