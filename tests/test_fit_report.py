@@ -241,6 +241,14 @@ def test_arguments_in_another_order_are_refused(fitted, tmp_path: Path) -> None:
         jl.write_report(result, str(tmp_path / "report.html"), views)
 
 
+def test_a_step_that_no_tolerance_measures_has_no_number(fitted) -> None:
+    result, _, _ = fitted
+    history = tuple(result.history[0]._replace(step_norm=norm) for norm in (np.nan, np.inf, 2.0))
+    page = report_page(dataclasses.replace(result, history=history), [], [], title="a")
+    rows = re.findall(r"<tr><td>\d+</td><td>(?:taken|refused)</td>.*?</tr>", page)
+    assert [re.findall("<td>(.*?)</td>", row)[5] for row in rows] == ["-", "-", "2.00e+00"]
+
+
 def test_names_from_files_are_escaped(tmp_path: Path) -> None:
     scene = make_scene()
     samples = jl.rasterize(scene, None, SIZE, SIZE)

@@ -253,10 +253,9 @@ class _StepLines:
             self.begun = True
         left = "" if math.isnan(step.seconds_left) else f"{step.seconds_left:.2f}"
         refused = "" if step.accepted else "  refused"
-        tolerances = f"{step.step_norm:.2e}" if math.isfinite(step.step_norm) else "-"
         part = "" if step.part == 1 else f"  {100 * step.part:.3g} % of the samples"
         print(
-            f"{step.step:5d} {step.loss:12.6g} {step.rms:12.6g} {step.gradient:10.2e} {tolerances:>10} "
+            f"{step.step:5d} {step.loss:12.6g} {step.rms:12.6g} {step.gradient:10.2e} {step.in_tolerances:>10} "
             f"{step.damping:9.1e} {step.seconds:8.2f} {left:>8}{refused}{part}",
             file=sys.stderr,
             flush=True,

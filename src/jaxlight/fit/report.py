@@ -222,7 +222,7 @@ def _convergence_chart(history: Sequence[Step]) -> str:
 def _steps_table(history: Sequence[Step]) -> str:
     rows = "".join(
         f"<tr><td>{step.step}</td><td>{'taken' if step.accepted else 'refused'}</td><td>{step.loss:.6g}</td>"
-        f"<td>{step.rms:.6g}</td><td>{step.gradient:.2e}</td><td>{step.step_norm:.2e}</td>"
+        f"<td>{step.rms:.6g}</td><td>{step.gradient:.2e}</td><td>{step.in_tolerances}</td>"
         f"<td>{step.damping:.1e}</td><td>{100 * step.part:.3g} %</td><td>{step.seconds:.2f}</td></tr>"
         for step in history
     )

@@ -37,6 +37,11 @@ class Step(NamedTuple):
     seconds_left: float
     """Estimated from the rate at which `step_norm` falls, at most the steps left; NaN while nothing is known."""
 
+    @property
+    def in_tolerances(self) -> str:
+        """`step_norm` to be read; "-" where there is none."""
+        return f"{self.step_norm:.2e}" if math.isfinite(self.step_norm) else "-"
+
 
 def describe_step(
     problem: Problem,
