@@ -165,10 +165,17 @@ def test_files_made_to_hang_or_flood_do_not(tmp_path: Path, name: str) -> None:
     [
         ("3 0 1 5", "a.ply:17: an index is out of range: a face has the index 5, the file 5 vertices"),
         ("3 0 1 -1", "a.ply:17: an index is out of range: a face has the index -1, the file 5 vertices"),
-        ("3 0 1 1.5", "a.ply:17: a face has the index 1.5, expected a whole number"),
-        ("3 0 1 nan", "a.ply:17: a face has the index nan, expected a whole number"),
-        ("2.5 0 1 2", "a.ply:17: a face has not all of its 1 properties"),
-        ("-1 0 1 2", "a.ply:17: a face has not all of its 1 properties"),
+        ("3 0 1 1.5", "a.ply:17: a face has vertex_indices 1.5, expected a whole number from -2147483648 to"),
+        ("3 0 1 nan", "a.ply:17: a face has vertex_indices nan, expected a whole number"),
+        ("3 0 1 1_0", "a.ply:17: a face has not all of its 1 properties"),
+        (
+            "2.5 0 1 2",
+            "a.ply:17: a face has a list vertex_indices of the size 2.5, expected a whole number from 0 to 255",
+        ),
+        (
+            "-1 0 1 2",
+            "a.ply:17: a face has a list vertex_indices of the size -1, expected a whole number from 0 to 255",
+        ),
     ],
 )
 def test_indices_of_an_ascii_ply_that_are_none_are_errors_with_line(tmp_path: Path, face: str, message: str) -> None:

@@ -12,6 +12,8 @@ from .gltf_header import GltfMaterial
 from .levels import are_bytes
 from .notes import ROUNDED, ReadNotes
 
+_WHITE = {"u2": 65535, "f2": 1, "f4": 1, "f8": 1}
+"""What is white in a ply, by NumPy's names of types; of other integers 255 is."""
 CREASE_ANGLE = np.pi / 3
 """Radians. Meshes without normals are smooth up to this angle between faces: curved surfaces are, boxes are not."""
 
@@ -95,7 +97,7 @@ def _colors(
 
 
 def _colors_of_ply(mesh: Any, element: str, count: int, notes: ReadNotes) -> np.ndarray | None:
-    """Colours [count, 3 or 4] as the file has them, which trimesh cuts to 8 bits; None if they are of other types."""
+    """Colours [count, 3 or 4] as the file has them, which trimesh cuts to 8 bits; None if there are not so many."""
     data = mesh.metadata.get("_ply_raw", {}).get(element, {}).get("data")
     if data is None:
         return None
@@ -103,10 +105,9 @@ def _colors_of_ply(mesh: Any, element: str, count: int, notes: ReadNotes) -> np.
     if not {"red", "green", "blue"} <= there:
         return None
     columns = [np.ravel(data[name]) for name in ("red", "green", "blue", "alpha") if name in there]
-    types = {column.dtype.str.lstrip("<>|=") for column in columns}
-    if not types <= {"u1", "u2", "f4", "f8"} or any(column.shape != (count,) for column in columns):
+    if any(column.shape != (count,) for column in columns):
         return None
-    largest = [np.iinfo(column.dtype).max if column.dtype.kind == "u" else 1.0 for column in columns]
+    largest = [_WHITE.get(column.dtype.str.lstrip("<>|="), 255) for column in columns]
     colors = np.stack([column.astype(np.float64) / own for column, own in zip(columns, largest, strict=True)], axis=1)
     of_floats = [place for place, column in enumerate(columns) if column.dtype.kind == "f"]
     if are_bytes(np.max(colors[:, of_floats], initial=0)):

@@ -24,10 +24,11 @@ from .gltf_header import GltfMaterial, numbered_materials
 from .mesh_faces import face_set
 from .mesh_folder import MeshFolder
 from .mesh_graph import nested_transforms
-from .mesh_lengths import checked_ply, checked_stl
 from .mesh_materials import material_from_gltf, material_from_mtl, unlit_material_from_gltf
 from .notes import ReadNotes
 from .obj_text import checked_obj
+from .ply_rows import checked_ply
+from .stl_facets import checked_stl
 from .x3d_textures import TextureReader
 
 _FACES_TEXCOORD = re.compile(rb"^property[ \t]+list[ \t]+\S+[ \t]+\S+[ \t]+texcoord\b", re.MULTILINE)
