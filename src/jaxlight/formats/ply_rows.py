@@ -99,9 +99,12 @@ def _entries(row: bytes, element: PlyElement) -> Iterator[tuple[str, list[float]
 def _check_type(element: str, name: str, numbers: list[float], kind: np.dtype[Any]) -> None:
     """Raise ValueError for a number that trimesh would cut to an integer type."""
     limits = _limits(kind)
-    for number in numbers if limits is not None else ():
-        if not (limits[0] <= number <= limits[1] and number.is_integer()):
-            allowed = f"expected a whole number from {limits[0]} to {limits[1]} ({kind.name})"
+    if limits is None:
+        return
+    low, high = limits
+    for number in numbers:
+        if not (low <= number <= high and number.is_integer()):
+            allowed = f"expected a whole number from {low} to {high} ({kind.name})"
             raise ValueError(f"a {element} has {name} {number:g}, {allowed}")
 
 
