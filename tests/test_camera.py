@@ -59,6 +59,12 @@ def test_a_translation_may_be_a_column() -> None:
     assert Camera.from_intrinsics(np.eye(3), t=np.ones((3, 1))).position.tolist() == [-1, -1, -1]
 
 
+def test_a_rotation_of_few_digits_is_made_one() -> None:
+    written = np.round(Camera.look_at((1, 2, 3), (0, 0, 0)).rotation, 5)
+    rotation = Camera.from_intrinsics(np.eye(3), R=written).rotation
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
+
+
 def test_look_at_and_view_all_put_things_in_the_picture() -> None:
     camera = Camera.look_at((3, 4, 5), (1, 1, 1), up=(0, 1, 0), field_of_view=0.7)
     np.testing.assert_allclose(project(camera, (1, 1, 1), 100, 80), (50, 40), atol=1e-10)
@@ -80,10 +86,17 @@ def test_the_default_camera() -> None:
     near, far = nodes.Viewpoint(position=(0, 0, 5)), nodes.Viewpoint(position=(0, 0, 50))
     assert Camera.default(Scene.from_nodes([box, near, far])).position[2] == 5
     assert Camera.default(Scene.from_nodes([box])).position.tolist() == [0, 0, 10]
-    for shape in (nodes.Box(size=(0.05, 0.05, 0.05)), nodes.Box(size=(80, 80, 80))):
+    too_small, too_large, just_too_large = (nodes.Box(size=(size, size, size)) for size in (0.05, 80, 4.6))
+    for shape in (too_small, too_large, just_too_large):
         scene = Scene.from_nodes([nodes.Shape(geometry=shape)])
         assert Camera.default(scene).position.tolist() == Camera.view_all(scene).position.tolist()
     assert Camera.default(Scene.from_nodes([nodes.Group()])).position.tolist() == [0, 0, 10]
+
+
+def test_what_has_no_size_is_seen_from_a_distance() -> None:
+    speck = nodes.Transform(translation=(1, 2, 3), children=[nodes.Shape(geometry=nodes.Sphere(radius=1e-20))])
+    camera = Camera.view_all(Scene.from_nodes([speck]))
+    assert camera.position[2] > 4
 
 
 def test_rays_run_row_by_row_through_the_sample_points() -> None:

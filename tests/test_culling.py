@@ -297,6 +297,25 @@ def test_clusters_go_by_the_length_of_all_their_lists() -> None:
     np.testing.assert_array_equal(culling.by_length(lists), np.argsort(length, kind="stable"))
 
 
+def test_a_cone_that_touches_a_corner_meets_its_box() -> None:
+    """Seen from close by, the half angle of the sphere around a box is much more than radius / distance."""
+    corner = np.ones(3)
+    place = corner + np.array([1, -1, 0]) / np.sqrt(2)  # from where the ray to the corner touches the sphere
+    to_corner, to_center = corner - place, -place / np.linalg.norm(place)
+    aside = to_corner - (to_corner @ to_center) * to_center
+    angle = np.arccos(to_corner @ to_center) + 0.19
+    axis = np.cos(angle) * to_center + np.sin(angle) * aside / np.linalg.norm(aside)
+    bounds = culling.Bounds(*(Vector(*jnp.full((3, 1), end)) for end in (-1.0, 1.0)), jnp.float32(1))
+    one_light = (Vector(*jnp.asarray(own, jnp.float32)[:, None, None]) for own in (place, axis))
+    assert np.all(culling._in_cone(*one_light, jnp.full((1, 1), 0.2), bounds, 1e-5))
+
+
+def test_a_cone_that_points_away_misses_a_single_sample() -> None:
+    point = Vector(*jnp.zeros((3, 1)))
+    place, axis = (Vector(*jnp.float32([[[0]], [[0]], [[z]]])) for z in (5, 1))
+    assert not np.any(culling._in_cone(place, axis, jnp.full((1, 1), 0.2), culling.Bounds(point, point, 0.0), 1e-5))
+
+
 @pytest.mark.parametrize("count", [1, 32, 33, 250])
 @pytest.mark.parametrize("share", [0.0, 0.03, 0.4, 1.0])
 def test_batches_hold_every_light_whose_flag_is_set_once(count: int, share: float) -> None:

@@ -70,6 +70,8 @@ def test_the_fast_power_of_two_and_logarithm() -> None:
     x = -drawn(-6, 2)
     power = np.asarray(jax.jit(elementary.exp2_fast)(x), np.float64)
     np.testing.assert_allclose(power, np.exp2(x.astype(np.float64)), rtol=2.7e-6)
+    least = np.asarray(jax.jit(elementary.exp2_fast)(np.float32([-127, -300, -1e30])))
+    assert np.all((least >= 0) & (least < 1.2e-38))
     positive = drawn(-30, 0)
     logarithm = np.asarray(jax.jit(elementary.log2_fast)(positive), np.float64)
     np.testing.assert_allclose(logarithm, np.log2(positive.astype(np.float64)), rtol=1.3e-6)

@@ -62,6 +62,18 @@ def test_the_minimum_is_found(kind: str, tolerance: float) -> None:
             assert np.all(np.asarray(found.point) <= np.asarray(upper, dtype))
 
 
+def test_bounds_in_the_way_of_many_numbers_are_found_in_the_rounds_that_there_are() -> None:
+    with precision("float64") as dtype:
+        random = np.random.default_rng(0)
+        for number in range(200):
+            jacobian = (random.normal(size=(9, 5)) * np.logspace(0, -2, 5)) @ random.normal(size=(5, 5))
+            scale = np.linalg.norm(jacobian, axis=0)
+            hessian, gradient = (jacobian / scale).T @ (jacobian / scale), 3 * random.normal(size=5)
+            lower, upper = -random.exponential(size=5), random.exponential(size=5)
+            found = minimise_in_box(*(jnp.asarray(a, dtype) for a in (hessian, gradient, lower, upper)))
+            assert bool(found.solved), f"box {number}"
+
+
 def test_a_singular_matrix_is_not_called_solved() -> None:
     hessian = jnp.array([[1.0, 1.0], [1.0, 1.0 - 1e-6]])
     endless = jnp.full(2, jnp.inf)

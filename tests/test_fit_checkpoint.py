@@ -21,9 +21,10 @@ import pytest
 from fit_scenes import key_light, material, sphere_picture, sphere_samples, sphere_scene
 from jaxlight import Fit, Scene, View, fit
 from jaxlight.fit import CheckpointWarning, fitting
-from jaxlight.fit.checkpoint import Checkpoint
+from jaxlight.fit.checkpoint import Checkpoint, digest
 from jaxlight.fit.problem import make_problem
 from jaxlight.fit.run import make_solver
+from jaxlight.scene.flags import Flags
 from leaves import same_leaves
 
 SIZE = 16
@@ -372,6 +373,10 @@ def test_the_checkpoint_of_another_fit_is_refused(half: Path, case: str) -> None
         run(half, resume=True, log=None, **OTHERS[case])
 
 
+def test_fits_under_many_lights_are_told_apart_by_which_are_on() -> None:
+    assert digest(Flags(np.arange(12) == 5)) != digest(Flags(np.arange(12) == 6))
+
+
 def test_resuming_needs_a_checkpoint(tmp_path: Path, whole: Fit) -> None:
     with pytest.raises(ValueError, match="resume: give `checkpoint` too"):
         run(tmp_path, checkpoint=None, resume=True)
@@ -381,7 +386,7 @@ def test_resuming_needs_a_checkpoint(tmp_path: Path, whole: Fit) -> None:
         assert same(run(tmp_path, resume=True), whole)
 
 
-def _with_member(content: bytes, name: str, array: np.ndarray) -> bytes:
+def with_member(content: bytes, name: str, array: np.ndarray) -> bytes:
     """The archive with one array replaced, its checksums right."""
     import io
 
@@ -397,12 +402,13 @@ DAMAGES = {
     "empty": lambda content: b"",
     "a flipped bit": lambda content: content[:900] + bytes([content[900] ^ 1]) + content[901:],
     "other bytes": lambda content: b"PK\x03\x04 no archive at all",
-    "another shape": lambda content: _with_member(content, ".values", np.zeros(99, np.float32)),
-    "another type": lambda content: _with_member(content, ".solver.loss", np.float64(0.0)),
-    "pickled objects": lambda content: _with_member(content, ".values", np.array([print], dtype=object)),
-    "no header": lambda content: _with_member(content, "header", np.zeros(4, np.uint8)),
-    "a header that is no object": lambda content: _with_member(content, "header", np.frombuffer(b"[1]", np.uint8)),
-    "a broken history": lambda content: _with_member(content, "history", np.zeros((2, 2))),
+    "another shape": lambda content: with_member(content, ".values", np.zeros(99, np.float32)),
+    "another type": lambda content: with_member(content, ".solver.loss", np.float64(0.0)),
+    "another type of that size": lambda content: with_member(content, ".solver.loss", np.int32(0)),
+    "pickled objects": lambda content: with_member(content, ".values", np.array([print], dtype=object)),
+    "no header": lambda content: with_member(content, "header", np.zeros(4, np.uint8)),
+    "a header that is no object": lambda content: with_member(content, "header", np.frombuffer(b"[1]", np.uint8)),
+    "a broken history": lambda content: with_member(content, "history", np.zeros((2, 2))),
 }
 
 
@@ -450,7 +456,7 @@ def test_a_checkpoint_of_another_format_or_jax_says_so(half: Path, tmp_path: Pat
         header = json.loads(archive["header"].tobytes())
     for change, expected in (({"format": 1}, "format 1; this version reads 3"), ({"jax": "0.0.1"}, "jax 0.0.1")):
         changed = np.frombuffer(json.dumps({**header, **change}).encode(), np.uint8)
-        (tmp_path / "fit.npz").write_bytes(_with_member(content, "header", changed))
+        (tmp_path / "fit.npz").write_bytes(with_member(content, "header", changed))
         with pytest.raises(ValueError) if "format" in change else pytest.warns(CheckpointWarning) as caught:
             run(tmp_path, resume=True)
         said = caught.value if isinstance(caught, pytest.ExceptionInfo) else caught[0].message

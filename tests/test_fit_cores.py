@@ -41,6 +41,19 @@ def test_cores_change_no_step(threads: list[int], monkeypatch: pytest.MonkeyPatc
         np.testing.assert_allclose(divided.value(path), alone.value(path), rtol=1e-9)
 
 
+def test_tiles_that_cannot_be_shared_out_evenly_count_once(threads: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    with precision("float64") as dtype:
+        (points, pixel), tile = sphere_points(SIZE), 32
+        points, pixel = points[: 32 * tile], pixel[: 32 * tile]
+        samples = SampleBuffer.create(points, points, EYE, tile=tile, dtype=dtype)
+        own = View(samples, sphere_picture(SIZE).reshape(-1, 3)[pixel])
+        divided = fit(start(dtype), own, FREE, max_steps=1)
+        assert set(threads) == {SHARES}
+        monkeypatch.setattr(cores, "cores", lambda: 1)
+        alone = fit(start(dtype), own, FREE, max_steps=1)
+    assert divided.history[0].loss == pytest.approx(alone.history[0].loss, rel=1e-12)
+
+
 def test_pixels_that_gather_samples_are_not_divided(threads: list[int]) -> None:
     points, pixel = sphere_points(SIZE)
     half = SIZE // 2

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from fit_scenes import key_light, material, precision, sphere_picture, sphere_samples, sphere_scene
-from jaxlight import Free, SampleBuffer, View, encode, fit, nodes
+from jaxlight import Camera, Free, SampleBuffer, Scene, View, encode, fit, nodes, rasterize
 from jaxlight.fit.problem import make_problem
 
 SIZE = 16
@@ -111,6 +111,21 @@ def test_a_view_without_background_says_that_it_does_not_look_through_surfaces()
     assert len(said[2]) == 1 and said[2][0].startswith("View[front] has no `background`") and said[2][0] in str(result)
 
 
+@pytest.mark.parametrize("alpha", [1.0, 0.5])
+@pytest.mark.parametrize("of", ["vertices", "texels"])
+def test_surfaces_are_transparent_by_their_colours_and_textures_too(of: str, alpha: float) -> None:
+    triangle = nodes.IndexedTriangleSet(
+        coord=nodes.Coordinate(point=[(-1, -1, 0), (1, -1, 0), (0, 1, 0)]),
+        color=nodes.ColorRGBA(color=[(1, 1, 1, alpha)] * 3) if of == "vertices" else None,
+        index=[0, 1, 2],
+    )
+    texture = nodes.PixelTexture(image=[[(0.5, alpha)]]) if of == "texels" else None
+    appearance = nodes.Appearance(material=nodes.Material(name="body"), texture=texture)
+    scene = Scene.from_nodes([nodes.Shape(geometry=triangle, appearance=appearance)])
+    view = View(rasterize(scene, Camera.look_at((0, 0, 4), (0, 0, 0)), 8), np.zeros((8, 8, 3)))
+    assert make_problem(scene, view, FREE)[1].alone == ["View[0]"] * (alpha < 1)
+
+
 def test_ties_begin_at_what_is_named_first() -> None:
     sun = nodes.DirectionalLight(name="sun", direction=(0, 0, -1), intensity=0.1, global_=True)
     with precision("float32") as dtype:
@@ -121,6 +136,21 @@ def test_ties_begin_at_what_is_named_first() -> None:
             assert description.labels == named[:1]
             first = 0.8 if named is paths else 0.1
             np.testing.assert_allclose(problem.parameters.start, [first], rtol=1e-6)
+
+
+def test_a_tie_has_the_narrowest_bounds_in_whatever_order_they_come() -> None:
+    sun = nodes.DirectionalLight(name="sun", intensity=0.5, global_=True)
+    scene = sphere_scene(key_light(color=(0.7, 0.7, 0.7)), sun)
+    paths = ["PointLight[key].color", "DirectionalLight[sun].intensity"]
+    for named in (paths, paths[::-1]):
+        parameters = make_problem(scene, view_of(None), Free(named, tied="all"))[0].parameters
+        assert (parameters.lower.tolist(), parameters.upper.tolist()) == ([0], [1])
+
+
+def test_what_is_small_may_start_where_it_is() -> None:
+    scene = sphere_scene(nodes.SpotLight(name="ray", beam_width=1e-4))
+    parameters = make_problem(scene, view_of(None), "SpotLight[ray].beam_width")[0].parameters
+    np.testing.assert_allclose([*parameters.lower, *parameters.start], [1e-7, 1e-4], rtol=1e-6)
 
 
 def test_the_exposure_of_a_named_view_is_found_by_its_number() -> None:

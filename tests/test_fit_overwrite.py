@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from test_fit_checkpoint import FREE, OTHERS, run
+from test_fit_checkpoint import FREE, OTHERS, run, with_member
 
 NOT_OVER = "belongs to a fit that is not over: resume=True (--resume) carries it on, overwrite=True (--overwrite)"
 
@@ -65,6 +65,12 @@ def test_what_another_fit_found_is_not_replaced(over: Path, case: str) -> None:
     with pytest.raises(ValueError, match=re.escape(said)):
         run(over, **OTHERS[case])
     assert contents(over) == before
+
+
+def test_a_fit_that_is_done_with_a_part_of_the_samples_is_not_over(over: Path, tmp_path: Path) -> None:
+    (tmp_path / "fit.npz").write_bytes(with_member((over / "fit.npz").read_bytes(), ".every", np.int32(4)))
+    with pytest.raises(ValueError, match=re.escape(NOT_OVER)):
+        run(tmp_path)
 
 
 def test_what_another_fit_found_is_replaced_if_told_to(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,18 @@ def test_a_part_takes_tiles_from_every_run(every: int) -> None:
         chosen = range(first, first + count * every, every)
         assert chosen and run.start <= chosen[0] and chosen[-1] < run.stop
         assert chosen[-1] + every >= run.stop
+
+
+@pytest.mark.usefixtures("small_parts")
+def test_the_share_of_a_part_is_what_is_heard_in_its_tiles() -> None:
+    scene, seen = start(np.float32), view(np.float32)
+    mask = np.random.default_rng(0).random((SIZE, SIZE)) < 0.5
+    problem, description = make_problem(scene, dataclasses.replace(seen, mask=mask), FREE)
+    heard = np.count_nonzero(np.asarray(problem.views[0].root_weight).reshape(-1, TILE), axis=1)
+    (run,) = surface_runs(scene.surfaces, seen.samples)
+    first, count = (int(number) for number in part.tiles_of_part(run, description.part.every))
+    chosen = heard[first :: description.part.every]
+    assert len(chosen) == count and description.part.share == chosen.sum() / heard.sum()
 
 
 @pytest.mark.usefixtures("small_parts")

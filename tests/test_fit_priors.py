@@ -114,3 +114,20 @@ def test_limits_of_the_sensor_are_no_sign_of_a_noise_that_is_stated_too_large() 
         view = View(sphere_samples(SIZE, dtype=dtype), np.minimum(picture, full), noise=0.01, saturated=full)
         said = fit(sphere_scene(dtype=dtype), view, f"{DIFFUSE}.r").uncertainty.messages()
         assert not [line for line in said if "stated noise" in line], said
+
+
+def test_limits_of_the_sensor_that_are_not_kept_tell_of_the_noise() -> None:
+    with precision("float64") as dtype:
+        view = View(sphere_samples(SIZE, dtype=dtype), np.full((SIZE, SIZE, 3), 2.0), saturated=2.0)
+        found = at_start(sphere_scene(dtype=dtype), view, [DIFFUSE])
+    assert 1 < found.noise < 2
+
+
+def test_an_error_of_half_of_the_range_is_hardly_seen() -> None:
+    def known(noise: float) -> Uncertainty:
+        view = View(sphere_samples(SIZE, dtype=dtype), sphere_picture(SIZE), noise=noise)
+        return at_start(sphere_scene(dtype=dtype), view, [f"{DIFFUSE}.r"])
+
+    with precision("float64") as dtype:
+        error = known(1.0).standard_error[0]
+        assert not known(0.4 / error).hardly_seen and known(0.6 / error).hardly_seen

@@ -132,6 +132,16 @@ def test_what_is_shown_as_used_is_what_the_fit_used(count: int) -> None:
     np.testing.assert_array_equal(pictures.used, whole)
 
 
+def test_rims_over_a_background_are_shown_as_used() -> None:
+    scene = make_scene()
+    samples = jl.rasterize(scene, None, 8, 8, samples=4)
+    view = jl.View(samples, np.full((8, 8, 3), 0.5), background=(0.2, 0.3, 0.4))
+    (pictures,) = view_pictures(jl.fit(scene, view, "PointLight[left].intensity", max_steps=1), view)
+    seen = np.bincount(np.asarray(samples.pixel), minlength=64).reshape(8, 8)
+    assert np.any((seen > 0) & (seen < 4))
+    np.testing.assert_array_equal(pictures.used, seen > 0)
+
+
 def test_limits_of_the_sensor_that_are_kept_are_no_differences(tmp_path: Path) -> None:
     scene = make_scene()
     samples = jl.rasterize(scene, None, SIZE, SIZE)
@@ -190,6 +200,13 @@ def test_pictures_and_the_chart_can_be_told_apart_without_being_seen(fitted, tmp
     chart = re.search(r"<svg.*</svg>", page)
     assert chart is not None and ">step</text>" in chart[0] and ">residual RMS</text>" in chart[0]
     assert '<meta name="viewport" content="width=device-width">' in page
+
+
+def test_a_chart_of_steps_that_change_nothing_has_a_height(fitted, tmp_path: Path) -> None:
+    result, views, _ = fitted
+    steps = tuple(result.history[0]._replace(step=i, rms=0.1) for i in range(2))
+    jl.write_report(tmp_path / "a.html", dataclasses.replace(result, history=steps), views)
+    assert "<svg" in (tmp_path / "a.html").read_text()
 
 
 def test_linear_light_is_shown_as_srgb(fitted, tmp_path: Path) -> None:

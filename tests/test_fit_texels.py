@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from typing import Any
 
@@ -90,7 +91,8 @@ def test_texture_material_and_lights_are_found_together() -> None:
         assert result.uncertainty.well_posed
 
 
-def test_the_arrow_is_the_dense_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("nearest", [(False, False), (True, True), (False, True)], ids=["four", "one", "both"])
+def test_the_arrow_is_the_dense_matrix(monkeypatch: pytest.MonkeyPatch, nearest: tuple[bool, bool]) -> None:
     """The same problem with the texels kept as single numbers gives the matrix that the arrow stands for.
 
     But for the prior of neighbours, which those do not have: it says nothing of other numbers, nor of a texture that is
@@ -101,7 +103,9 @@ def test_the_arrow_is_the_dense_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
         image[..., 0] += 0.01 * np.arange(TEXELS)
         priors = {"total_variation": 0.1, "deviation": 0.3}
         fields = [Free(SKIN, **priors), "Material[body].shininess", "PointLight[key].intensity"]
-        seen = views(scene(skin(4), dtype), dtype, noise=0.05)
+        truth = scene(skin(4), dtype)
+        first, second = (views(truth, dtype, nearest=own, noise=0.05)[row] for row, own in enumerate(nearest))
+        seen = [first, dataclasses.replace(second, lights="PointLight[*]")]  # in a stack of its own
         arrow, _ = make_problem(scene(image, dtype), seen, fields, loss="cauchy", loss_scale=0.1)
         made = jax.jit(normal.normal_equations)(arrow, arrow.parameters.start)
         assert isinstance(made.curvature, ArrowCurvature)

@@ -30,6 +30,7 @@ DIFFUSE, SPECULAR = "Material[body].diffuse_color", "Material[body].specular_col
 TWIN = key_light(name="twin", intensity=0.4)
 SUN = nodes.DirectionalLight(name="sun", direction=(1.0, -2.0, -3.0), global_=True)
 FAR = nodes.PointLight(name="far", location=(50.0, 0.0, 0.0), radius=10.0)
+STRENGTHS = [f"PointLight[{name}].intensity" for name in "abcd"]
 TRADED, PRODUCT, SUM = "can be traded for", "only their product is seen", "only their sum is seen"
 
 PLANTED: dict[str, tuple[list[Any], dict[str, Any], list[str], list[str]]] = {
@@ -78,6 +79,10 @@ PLANTED: dict[str, tuple[list[Any], dict[str, Any], list[str], list[str]]] = {
         [key_light()], {}, ["PointLight[key].intensity", "View[0].exposure", "Material[body].shininess"],
         [f"View[0].exposure {TRADED} PointLight[key].intensity: {PRODUCT}"],
     ),
+    "four strengths and an exposure": ([key_light(name=n, location=(2 * x, 2, 3)) for x, n in enumerate("abcd")], {},
+        ["PointLight[*].intensity", "View[0].exposure"],
+        [f"View[0].exposure {TRADED} {', '.join(STRENGTHS[:3])} and {STRENGTHS[3]}: {PRODUCT}"],
+    ),
     "two factors of the ambient term": (
         [key_light(ambient_intensity=0.3)], {},
         ["Material[body].ambient_intensity", "PointLight[key].ambient_intensity", DIFFUSE],
@@ -104,7 +109,7 @@ def test_a_planted_ambiguity_is_named(kind: str) -> None:
     lights, changes, free, sentences = PLANTED[kind]
     with precision("float32") as dtype:
         found = known(lights, changes, free, dtype)
-    assert not found.well_posed
+    assert not found.well_posed and not found.correlations
     assert sorted(line for line in found.messages() if "seen" in line) == sorted(sentences)
     assert found.rank == len(found.labels) - len(sentences)
     unknown = {found.labels[i] for a in found.ambiguities for i in np.flatnonzero(a.direction)} | set(found.unseen)

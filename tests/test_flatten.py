@@ -27,3 +27,11 @@ def test_tens_of_thousands_of_materials_have_a_row_each() -> None:
     scene = Scene.from_nodes(shapes)
     assert len(scene.surfaces) == len(scene.document.materials) == 40_000
     assert [row.material for row in scene.surfaces] == list(range(40_000))
+
+
+def test_turns_and_even_scales_are_a_similarity_but_for_rounding() -> None:
+    random = np.random.default_rng(0)
+    for _ in range(50):
+        inner = nodes.Transform(rotation=random.normal(size=4), scale=(0.1, 0.1, 0.1), children=[nodes.PointLight()])
+        outer = nodes.Transform(rotation=random.normal(size=4), scale=(3, 3, 3), children=[inner])
+        assert Scene.from_nodes([outer]).point.frame == "similarity"

@@ -196,6 +196,10 @@ def test_comparison_figures() -> None:
     same = compare(image, reference, mask)
     assert (same.largest, same.psnr, same.relative_l2, same.pixels) == (0, math.inf, 0, 5)
     assert compare(image, reference, np.where(mask, 0.5, 0.49)).pixels == 5
+    image[0, 1] = 0.4  # more in all channels together, less in each
+    assert compare(image, reference).worst_pixel == (1, 2)
+    black = compare(np.zeros((2, 3)), np.zeros((2, 3)))
+    assert (black.relative_l2, compare(np.ones((2, 3)), np.zeros((2, 3))).relative_l2) == (0, math.inf)
     assert compare(np.full((2, 2), 255, np.uint8), np.full((2, 2), 65535, np.uint16)).largest == 0
 
 

@@ -202,12 +202,14 @@ def test_orthographic_views() -> None:
     np.testing.assert_allclose(np.asarray(found.pixel_to_world) @ (2.5, 1.5, 1), -turn[:, 2], atol=1e-6)
 
 
-@pytest.mark.parametrize(("pixel_size", "height"), [(0.1, 24), (1.0, 24), (20.0, 2)])
-def test_parallel_rays_in_few_bits(pixel_size: float, height: int) -> None:
+@pytest.mark.parametrize(
+    ("pixel_size", "height", "x"), [(0.1, 24, 3.0), (1.0, 24, 2e4), (1.0, 24, 3.0), (20.0, 2, 3.0)]
+)
+def test_parallel_rays_in_few_bits(pixel_size: float, height: int, x: float) -> None:
     """float16 holds no eye a million sizes away; the one that it holds is as far off as its digits can tell."""
     turn = Camera.look_at((3, 1, 2), (0, 0, 0)).rotation
     for rotation in (np.eye(3), turn):
-        view = Orthographic(pixel_size, (3.0, -2.0, 1.0), rotation)
+        view = Orthographic(pixel_size, (x, -2.0, 1.0), rotation)
         found = samples_from_maps(np.tile([0.0, 0, 1], (height, height, 1)), view, depth=1.0, dtype="float16")
         to_viewer = np.asarray(found.eye, float) - np.asarray(found.position, float)
         to_viewer /= np.linalg.norm(to_viewer, axis=1, keepdims=True)

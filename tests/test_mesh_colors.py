@@ -276,6 +276,14 @@ def test_each_color_of_a_ply_has_a_type_of_its_own(tmp_path: Path, kinds: tuple[
     np.testing.assert_allclose(shape.geometry.color.color[0], (1, 0.2, 0, 0.5), atol=0.002)
 
 
+def test_bytes_beside_colors_of_0_to_255_stay_what_they_are(tmp_path: Path) -> None:
+    text = triangle_ply("255 51 0 128", "float", ("red", "green", "blue", "alpha"))
+    (tmp_path / "a.ply").write_text(text.replace("float alpha", "uchar alpha"))
+    with pytest.warns(SceneFileWarning, match="read as 0 to 255"):
+        (shape,) = shapes_of(tmp_path / "a.ply")
+    np.testing.assert_array_equal(shape.geometry.color.color[0], (1, 0.2, 0, 128 / 255))
+
+
 def test_a_comment_of_a_ply_may_say_anything(tmp_path: Path) -> None:
     text = triangle_ply("255 51 0", "uchar", ("red", "green", "blue"))
     (tmp_path / "a.ply").write_text(

@@ -106,6 +106,7 @@ WRONG = {
     "Material[body].diffuse_color.x": r"no component 'x'; components: r, g, b",
     "Material[body].shininess.r": r"none: it is one number",
     "PointLight[0].attenuation[3]": r"the field has shape \[3\]",
+    "PointLight[0].attenuation.x": "no component 'x'; components: a number in brackets",
     "Material[body].diffuse": r"closest: Material\[body\].diffuse_color",
     "Fog[1].color": r"no field 'Fog\[1\].color'; the closest: Fog.color",
     "Fog[fog*].color": r"no field 'Fog\[fog\*\].color'; the closest: Fog.color",

@@ -10,6 +10,7 @@ import pytest
 
 from jaxlight import Camera, SampleBuffer, Scene, nodes, rasterize
 from jaxlight.raster import geometry_of
+from jaxlight.raster.placed import PlacedShapes
 from jaxlight.raster.primitives import Primitive
 from jaxlight.raster.shapes import world_bounds
 from jaxlight.scene.document import PlacedShape
@@ -162,6 +163,24 @@ def test_no_ray_slips_through_a_rim(geometry: nodes.Node, distance: float) -> No
         assert seen.sum() > 1000
 
 
+@pytest.mark.parametrize("distance", [3.0, 300.0, 3e5])
+@pytest.mark.parametrize(
+    ("geometry", "end"),
+    [(nodes.Cylinder(), 1), (nodes.Cylinder(), -1), (nodes.Cone(), -1)],
+    ids=["top", "bottom", "cone"],
+)
+def test_rays_to_a_rim_meet_one_of_its_two_faces(geometry: nodes.Node, end: int, distance: float) -> None:
+    camera = Camera.look_at((0, distance * end, distance), (0, 0, 0), field_of_view=2 * math.atan(2.0 / distance))
+    placed = PlacedShapes.of(Scene.from_nodes([nodes.Shape(geometry=geometry)]))
+    faces = placed.prepared(camera, 128, 128)[1]
+    assert faces is not None
+    angle = np.linspace(0.2, math.pi - 0.2, 2000)
+    rim = np.stack([np.cos(angle), np.full(2000, end), np.sin(angle)], axis=1)
+    u, v, w = np.linalg.inv(camera.pixel_to_world(128, 128)) @ (rim - camera.position).T
+    met = [faces.depths(np.full(2000, row), u / w, v / w)[0] for row in range(len(faces.number))]
+    assert len(np.unique(np.concatenate(met))) == 2000
+
+
 def test_the_apex_of_a_cone_points_along_its_axis() -> None:
     scene = Scene.from_nodes([nodes.Shape(geometry=nodes.Cone())])
     samples = rasterize(scene, Camera.look_at((0, 5, 0), (0, 0, 0), (0, 0, -1)), 33, 33)
@@ -249,6 +268,13 @@ def test_what_is_too_large_is_named(geometry: nodes.Node) -> None:
     for given in (Camera.look_at((0, 0, 5), (0, 0, 0)), None):
         with pytest.raises(ValueError, match=r"Shape\[huge\]: lies up to .* from the origin; at most 1e\+100"):
             rasterize(scene, given, 8, 8)
+
+
+def test_what_a_transform_takes_too_far_away_is_named() -> None:
+    ball = nodes.Shape(name="ball", geometry=nodes.Sphere())
+    scene = Scene.from_nodes([nodes.Transform(translation=(1e150, 0, 0), children=[ball])])
+    with pytest.raises(ValueError, match=r"Shape\[ball\]: lies up to 1e\+150 from the origin; at most 1e\+100"):
+        rasterize(scene, Camera.look_at((0, 0, 5), (0, 0, 0)), 8, 8)
 
 
 @pytest.mark.parametrize(

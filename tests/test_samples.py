@@ -11,7 +11,9 @@ import pytest
 
 from jaxlight import Scene, nodes
 from jaxlight.lighting import make_plan, shade
+from jaxlight.processor import sizes
 from jaxlight.raster import SampleBuffer
+from jaxlight.raster.tile_layout import layout_of
 
 COUNT = 5000
 
@@ -192,3 +194,11 @@ def test_colors_for_a_buffer_without_are_refused() -> None:
     samples = SampleBuffer.create(own["position"], own["normal"], (0, 0, 5))
     with pytest.raises(ValueError, match="color: the buffer has none"):
         samples.with_rows(color=own["color"])
+
+
+def test_few_tiles_are_nothing_but_padding() -> None:
+    random = np.random.default_rng(0)
+    for _ in range(50):
+        surface = np.repeat(np.arange(5), random.integers(1, 5000, 5))
+        stored, needed = len(layout_of(surface, 64).tile_surface), np.sum(-(-np.bincount(surface) // 64))
+        assert stored <= needed * (1 + sizes().padding)

@@ -22,7 +22,7 @@ from answers import Mode, plan_of
 from cases_to_scenes import structure
 from jaxlight import SampleBuffer, Scene, nodes, shade
 from jaxlight.lighting import elementary, factors, highlight
-from jaxlight.lighting.vectors import Vector, unit
+from jaxlight.lighting.vectors import Vector, inverse_length, unit
 from oracle.adversarial import FAMILIES, adversarial_cases
 from oracle.case import Case, Light, Material, Sample
 from oracle.paths import float_paths
@@ -191,6 +191,19 @@ def test_unit_vectors_of_any_length(size: float) -> None:
         assert ulp_apart(jnp.stack(got), [mpf(float(part)) / exact for part in (x, y, z)]) <= 2
 
 
+def test_second_derivatives_at_tiny_numbers_are_finite() -> None:
+    tiny = jnp.full(3, 1e-30, jnp.float32)
+    assert np.all(np.isfinite(jax.grad(lambda v: inverse_length(Vector(*v)))(tiny)))
+    assert np.all(np.isfinite(jax.hessian(lambda v: unit(Vector(*v))[0].x)(tiny)))
+    assert np.isfinite(jax.grad(elementary.steep_reciprocal)(tiny[0]))
+
+
+@pytest.mark.parametrize("form", [highlight.FULL, highlight.FAST], ids=["full", "fast"])
+def test_the_slope_of_a_power_below_one_is_held(form: highlight.Highlight) -> None:
+    slope = jax.grad(form.power)(jnp.float32(2.0**-55), jnp.float32(0.5))
+    assert 2.0**20 < slope <= 2.0**24
+
+
 def test_the_zero_vector() -> None:
     zero = jnp.zeros(())
     (got, length), slope = jax.jvp(lambda x: unit(Vector(x, zero, zero)), (zero,), (jnp.ones(()),))
@@ -271,6 +284,13 @@ def test_attenuation_at_a_sum_of_one() -> None:
         assert ulp_apart(got, [1 / max(mpf(1), mpf(float(c1)) + mpf(0.75))]) <= 1
         slope = jax.grad(factors.attenuation)(*map(jnp.float32, (c1, 0.25, 0.0, 3.0)))
         assert -1.0001 <= slope <= 0
+    # A light may be made fainter from there.
+    assert jax.grad(factors.attenuation)(*map(jnp.float32, (0.25, 0.25, 0.0, 3.0))) == -1
+
+
+def test_slopes_of_an_attenuation_that_overflows_are_finite() -> None:
+    numbers = map(jnp.float32, (0.0, 0.0, 1e38, 10.0))
+    assert np.all(np.isfinite(jax.grad(factors.attenuation, argnums=(0, 1, 2, 3))(*numbers)))
 
 
 @pytest.mark.parametrize("distance", [1e18, 9e18, 1e25, 1e37])

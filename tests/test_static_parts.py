@@ -122,6 +122,12 @@ def test_a_plan_without_radii_serves_all_places() -> None:
     np.testing.assert_array_equal(shade(endless, away, plan=make_plan(endless, SAMPLE)), shade(endless, away))
 
 
+@pytest.mark.parametrize("ambient_intensity", [0.0, 0.5])
+def test_a_light_of_no_intensity_is_kept_for_its_ambient_light(ambient_intensity: float) -> None:
+    lamp = nodes.PointLight(intensity=0, ambient_intensity=ambient_intensity)
+    assert (make_plan(scene_of(lamp)).point is not None) == (ambient_intensity > 0)
+
+
 @pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("field", ["location", "radius", "attenuation", "intensity", "color"])
 def test_numbers_of_lights_that_are_none_are_refused(field: str, number: float) -> None:

@@ -184,6 +184,16 @@ def test_a_face_that_visits_a_vertex_twice_counts_once(sides: int, repeated: int
     np.testing.assert_allclose(normals_at_the_top(faces), expected, atol=1e-15)
 
 
+def test_faces_that_share_a_repeated_corner_and_no_edge_keep_their_normals() -> None:
+    points = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (-1, 0, 0.2), (-1, -1, 0.2)]
+    faces = [0, 0, 1, 2, -1, 0, 0, 3, 4, -1]
+    drawn = triangles_of(
+        nodes.IndexedFaceSet(coord=nodes.Coordinate(point=points), coord_index=faces, crease_angle=1.0)
+    ).without_degenerate()
+    flat = area_vectors(drawn) / np.linalg.norm(area_vectors(drawn), axis=1, keepdims=True)
+    np.testing.assert_allclose(drawn.normal, np.repeat(flat[:, None], 3, axis=1), atol=1e-15)
+
+
 def test_clockwise_faces_are_turned_round_and_their_normals_with_them() -> None:
     """`ccw` FALSE: the front is where the corners run clockwise; generated normals point there."""
     ccw, cw = cube(), cube(ccw=False)
@@ -219,6 +229,15 @@ def test_a_repeated_corner_leaves_a_concave_face_what_it_is(repeated: int) -> No
     areas = area_vectors(triangles_of(face))[:, 2]
     assert np.all(areas >= 0)
     np.testing.assert_allclose(areas.sum(), 3)
+
+
+def test_repeated_corners_are_no_obstacle_to_cutting() -> None:
+    corners = [(0, 0), (1, 0), (1, -1), (1, -1), (2, -1), (2, 0), (3, 0), (3, 0), (3, 1), (0, 1)]
+    points = [(x, y, 0) for x, y in corners]
+    face = nodes.IndexedFaceSet(coord=nodes.Coordinate(point=points), coord_index=list(range(10)), convex=False)
+    areas = area_vectors(triangles_of(face))[:, 2]
+    assert np.all(areas >= 0)
+    np.testing.assert_allclose(areas.sum(), 4)
 
 
 H_SHAPE = [(0, 0), (1, 0), (1, 2), (2, 2), (2, 0), (3, 0), (3, 5), (2, 5), (2, 3), (1, 3), (1, 5), (0, 5)]

@@ -122,6 +122,18 @@ def test_how_the_work_is_cut_up_changes_nothing(
     np.testing.assert_array_equal(found[1], expected[1])
 
 
+def test_of_walls_that_pass_through_each_other_every_part_in_front_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wall begins in front of another by far less than a thousandth of its distance."""
+    tilts = np.random.default_rng(14).normal(0, (0, 0, 2e-2), (20, 3, 3))
+    walls = np.array([[[-40.0, -40, -5], [40, -40, -5], [0, 60, -5]]]) + tilts
+    expected = cast(EYE, Camera(EYE, np.eye(3), 1.2).rays(90, 70).direction, walls)[0]
+    monkeypatch.setattr(depth_buffer, "_CHUNK", 64)
+    for module in (depth_buffer, visibility):
+        monkeypatch.setattr(module, "SMALL", 2)
+        monkeypatch.setattr(module, "BLOCK", 8)
+    np.testing.assert_array_equal(seen(walls, 90, 70)[0], expected)
+
+
 def test_a_triangle_seen_edge_on_is_not_seen() -> None:
     edge_on = np.array([[[0.0, -1, -2], [0, 1, -3], [0, 1, -9]]])
     assert np.all(seen(edge_on, 9, 9)[0] == -1)

@@ -101,6 +101,7 @@ def test_transforms_that_overflow_together_are_an_error(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("<PointLight DEF='a' intensity='1e39'/>", r"PointLight\[a\].intensity: 1e\+39 is larger than 3.4e\+38"),
+        ("<PointLight DEF='a' location='0 -1e39 0'/>", r"PointLight\[a\].location: -1e\+39 is larger than 3.4e\+38"),
         ("<PointLight/><SpotLight DEF='b' location='0 -1e39 0'/>", r"SpotLight\[b\].location: -1e\+39 is larger"),
         ("<Transform translation='1e39 0 0'><PointLight DEF='c'/></Transform>", r"PointLight\[c\]: its frame: 1e\+39"),
     ],

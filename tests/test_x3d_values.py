@@ -60,6 +60,8 @@ def test_no_numbers() -> None:
         (values.MFString, '"a" b', "expected strings in double quotes, got 'b'"),
         (values.SFImage, "2 2 1 0 0 0", "2 x 2 pixels announced, 3 given"),
         (values.SFImage, "1 1 1 256", "must lie in 0 to 0xff"),
+        (values.SFImage, "1 1 1 -1", "must lie in 0 to 0xff"),
+        (values.MFInt32, "0 " * 512 + str(2**63), "is too large"),
         (values.SFImage, "1 1 5 0", "0 to 4 components, got 1 1 5"),
         (values.SFImage, "99999 99999 1 0", "at most 67108864 are read"),
     ],
