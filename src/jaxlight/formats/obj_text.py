@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..scene.polygons import Faces, are_concave, split_concave
+from ..scene.polygons import Faces, are_no_fans, split_concave
 from .errors import SceneFileError
 from .levels import are_bytes
 from .notes import ReadNotes
@@ -60,8 +60,8 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> ObjText:
     """Vertices, materials and faces of an OBJ file, one statement a line, the faces in order of their materials.
 
     Where some faces of a material have texture coordinates, the others get 0 0; normals that not all of them have are
-    left out. Both are noted, and smoothing groups of faces without normals. Concave faces are cut into triangles. All
-    material files stand in one, `LIBRARY`.
+    left out. Both are noted, and smoothing groups of faces without normals. Concave faces, and
+    those with corners on a line, are cut into triangles. All material files stand in one, `LIBRARY`.
 
     Raises:
         SceneFileError: a face has less than three corners, or an index that is no number, 0, or out of range; a vertex,
@@ -209,23 +209,23 @@ def _parsed(path: Path, line: int, corner: str, counts: dict[str, int]) -> _Corn
 
 
 def _cut(path: Path, faces: list[str], corners: dict[str, _Corner], positions: np.ndarray, material: str) -> list[str]:
-    """The faces of a material, the concave ones cut into triangles."""
+    """The faces of a material, those cut into triangles that are not fans of some around their first corner."""
     polygons = [(number, own) for number, face in enumerate(faces) if len(own := face.split()) > 3]
     if not polygons:
         return faces
     flat = [corner for _, own in polygons for corner in own]
     read, points = _faces_of([own for _, own in polygons]), positions[[corners[corner][0] - 1 for corner in flat]]
-    concave = are_concave(read, points)
-    if not np.any(concave):
+    wanted = are_no_fans(read, points)
+    if not np.any(wanted):
         return faces
-    chosen = [own for (_, own), is_concave in zip(polygons, concave, strict=True) if is_concave]
+    chosen = [own for (_, own), is_wanted in zip(polygons, wanted, strict=True) if is_wanted]
     own_corners = [corner for own in chosen for corner in own]
-    places = np.repeat(concave, read.count)
+    places = np.repeat(wanted, read.count)
     try:
         triangles = split_concave(_faces_of(chosen), points[places], f"faces of material {material!r}")
     except ValueError as error:
         raise SceneFileError(path, None, str(error)) from None
-    cut = {number for (number, _), is_concave in zip(polygons, concave, strict=True) if is_concave}
+    cut = {number for (number, _), is_wanted in zip(polygons, wanted, strict=True) if is_wanted}
     return [face for number, face in enumerate(faces) if number not in cut] + [
         " ".join(own_corners[corner] for corner in triangle) for triangle in triangles.tolist()
     ]

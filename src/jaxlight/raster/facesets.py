@@ -6,7 +6,7 @@ import numpy as np
 
 from ..scene import nodes
 from ..scene.indices import check_indices
-from ..scene.polygons import Faces, split_concave, split_fans
+from ..scene.polygons import Faces, split_concave, split_convex, split_fans
 from .normals import crease_normals, vertex_normals
 from .triangles import Triangles
 
@@ -26,7 +26,11 @@ def indexed_face_set(node: nodes.IndexedFaceSet, where: str) -> Triangles:
     faces = Faces.read(node.coord_index)
     vertex = node.coord_index[faces.slot]
     corner_points = points[vertex]
-    split = split_fans(faces) if node.convex else split_concave(faces, corner_points, f"{where}.coord_index")
+    split = (
+        split_convex(faces, corner_points)
+        if node.convex
+        else split_concave(faces, corner_points, f"{where}.coord_index")
+    )
 
     color = normal = None
     if node.color is not None and len(node.color.color):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..scene.flatness import FLAT
 from ..scene.polygons import Faces, face_normals
-from .triangles import FLAT
 
 _MOST_FACES = 32
 """Of the faces that share an edge so many are compared with each: surfaces have two, and few have a fin."""

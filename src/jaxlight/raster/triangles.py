@@ -6,8 +6,7 @@ import dataclasses
 
 import numpy as np
 
-FLAT = 1e-14
-"""Of the square of its longest edge, twice the area of a face that has none but by rounding."""
+from ..scene.flatness import are_flat
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -43,8 +42,5 @@ class Triangles:
 
     def without_degenerate(self) -> Triangles:
         """Without triangles that have no area: two corners coincide, or all three lie on a line."""
-        edges = self.position[:, [1, 2, 0]] - self.position
-        length = np.linalg.norm(edges, axis=2).max(axis=1, initial=0.0)
-        area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-        flat = ~(area > FLAT * length**2)
+        flat = are_flat(self.position)
         return self.select(~flat) if np.any(flat) else self

@@ -5,7 +5,8 @@ d . (a x b) have one sign. Written in pixel coordinates each is an affine functi
 clipping nor division, triangles that reach behind the eye included; the volumes over their sum are the perspective-
 correct barycentric coordinates, and det(a, b, c) over their sum is the depth. Two triangles that share an edge get
 exactly opposite volumes for it, so no ray slips through between them; of two hits at the same depth the triangle of the
-smaller number counts.
+smaller number counts. Polygons are cut so that all their corners are corners of triangles with an area, but where a
+file's own faces without area stand between others, these share no edge, and rays may slip through.
 
 Triangles are taken front to back; large ones are cut into blocks of pixels, and what lies outside an edge or behind
 what is already there is dropped block by block. All bounds are evaluated with the formulas of the test itself, whose

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import bisect
 import dataclasses
-from fractions import Fraction
-from typing import Any
 
 import numpy as np
+
+from .ears import cut_ears
+from .flatness import SLIVER, are_flat, doubled_areas
 
 MAX_CONCAVE_CORNERS = 10_000
 """Corners of one concave face; cutting takes time proportional to their square.
@@ -76,21 +76,42 @@ def face_normals(faces: Faces, points: np.ndarray) -> np.ndarray:
 
 
 def split_fans(faces: Faces) -> np.ndarray:
-    """[T, 3] corners: each face as a fan around its first corner, which is right for convex faces."""
+    """[T, 3] corners: each face as a fan around its first corner, right for convex ones without corners on a line."""
     fans = np.maximum(faces.count - 2, 0)
     first = np.repeat(faces.start, fans)
     step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
     return np.stack([first, first + step + 1, first + step + 2], axis=1)
 
 
-def are_concave(faces: Faces, points: np.ndarray) -> np.ndarray:
-    """[F], True for faces that turn to the other side at some corner.
+def are_no_fans(faces: Faces, points: np.ndarray) -> np.ndarray:
+    """[F], True for faces that `split_fans` would not cut right: concave ones, and those of flat triangles.
 
     Args:
         faces: the polygons.
         points: [C, 3], where each corner is.
     """
-    return _turned(faces, points, face_normals(faces, points))
+    return _turned(faces, points, face_normals(faces, points)) | _have_flat_fans(faces, points)
+
+
+def _have_flat_fans(faces: Faces, points: np.ndarray) -> np.ndarray:
+    """[F], True where three corners on a line make a triangle of the fan around the first corner of a face with area.
+
+    Such a triangle is not drawn, and the corner in its middle would lie on an edge of the next one, where it is no
+    corner: rays slip through between that edge and the faces, or triangles, that share the corner.
+    """
+    fans = split_fans(_only(faces, faces.count > 3))
+    fans = fans[are_flat(points[fans], SLIVER)]
+    places = points[fans]
+    apart = np.any(places != places[:, [1, 2, 0]], axis=2).all(axis=1)
+    found = np.zeros(len(faces.count), dtype=bool)
+    found[faces.face[fans[apart, 0]]] = True
+    if not np.any(found):
+        return found
+    of_them = found[faces.face]
+    faces, points = faces.without(~of_them), points[of_them]
+    longest = np.zeros(len(found))
+    np.maximum.at(longest, faces.face, np.linalg.norm(points[faces.following] - points, axis=1))
+    return np.linalg.norm(face_normals(faces, points), axis=1) > SLIVER * longest**2
 
 
 def _turned(faces: Faces, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -103,6 +124,66 @@ def _turned(faces: Faces, points: np.ndarray, normals: np.ndarray) -> np.ndarray
     return concave
 
 
+def split_convex(faces: Faces, points: np.ndarray) -> np.ndarray:
+    """[T, 3] corners: each face as a fan, around the first of its corners that leaves no corner on an edge.
+
+    That is the first corner of a face, or another one where corners lie on a line. Faces for which none will do are cut
+    by ears, as long as that is quick.
+
+    Args:
+        faces: the polygons.
+        points: [C, 3], where each corner is.
+    """
+    every = np.ones(len(faces.count), dtype=bool)
+    return _split_convex(faces, points, every, MAX_CONCAVE_CORNERS**2)
+
+
+def _split_convex(faces: Faces, points: np.ndarray, chosen: np.ndarray, most_squares: float) -> np.ndarray:
+    """The chosen faces [F]; at most so many squares of corners are cut by ears, and the rest stays fans."""
+    flat = chosen & _have_flat_fans(faces, points)
+    if not np.any(flat):
+        return split_fans(_only(faces, chosen))
+    normals = face_normals(faces, points)
+    fans, found = _fans_around_others(faces, points, normals, flat)
+    squares = np.where(flat & ~found & (faces.count <= MAX_CONCAVE_CORNERS), faces.count.astype(np.float64) ** 2, 0.0)
+    by_ears = (squares > 0) & (np.cumsum(squares) <= most_squares)
+    plain = split_fans(_only(faces, chosen & ~found & ~by_ears))
+    return np.concatenate([plain, fans, *_split_by_ears(faces, points, normals, by_ears)])
+
+
+def _fans_around_others(
+    faces: Faces, points: np.ndarray, normals: np.ndarray, chosen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fans [T, 3] of the chosen faces without flat triangles, around whichever corner, and [F] whether there is one.
+
+    A corner of a convex face is on a line with two others that follow one another only if one of its neighbours is
+    between two corners. Of the corners of which that is not so the first is taken.
+    """
+    away = ~chosen[faces.face] | np.all(points == points[faces.preceding], axis=1)
+    corner, faces = np.flatnonzero(~away), faces.without(away)
+    points = points[corner]
+    preceding, following = faces.preceding, faces.following
+    between = are_flat(np.stack([points[preceding], points, points[following]], axis=1), SLIVER)
+    good = np.flatnonzero(~between[preceding] & ~between[following])
+    found, first = np.unique(faces.face[good], return_index=True)
+    apex = np.full(len(chosen), -1)
+    apex[found] = good[first]
+    fans = split_fans(_only(faces, apex >= 0))
+    face = faces.face[fans[:, 0]]
+    start = faces.start[face, None]
+    fans = start + (fans - 2 * start + apex[face, None]) % faces.count[face, None]
+    areas, longest = doubled_areas(points[fans])
+    unit = normals[face] / np.linalg.norm(normals[face], axis=1, keepdims=True)
+    is_right = apex >= 0
+    is_right[face[~(np.einsum("ij,ij->i", areas, unit) > SLIVER * longest**2)]] = False
+    return corner[fans[is_right[face]]], is_right
+
+
+def _only(faces: Faces, chosen: np.ndarray) -> Faces:
+    """The faces with no corners but for the chosen ones [F], for `split_fans`."""
+    return dataclasses.replace(faces, count=np.where(chosen, faces.count, 0))
+
+
 def split_concave(faces: Faces, points: np.ndarray, where: str) -> np.ndarray:
     """[T, 3] corners: convex faces as fans, the others by cutting ears in the plane of the face (X3D 13.3.6 `convex`).
 
@@ -111,26 +192,33 @@ def split_concave(faces: Faces, points: np.ndarray, where: str) -> np.ndarray:
     """
     normals = face_normals(faces, points)
     concave = _turned(faces, points, normals)
-    fans = split_fans(dataclasses.replace(faces, count=np.where(concave, 0, faces.count)))
-    cut = [fans]
-    _check_corners(np.flatnonzero(concave), faces.count, where)
-    for face in np.flatnonzero(concave):
+    squares = _check_corners(np.flatnonzero(concave), faces.count, where)
+    fans = _split_convex(faces, points, ~concave, MAX_CONCAVE_CORNERS**2 - squares)
+    return np.concatenate([fans, *_split_by_ears(faces, points, normals, concave)])
+
+
+def _split_by_ears(faces: Faces, points: np.ndarray, normals: np.ndarray, chosen: np.ndarray) -> list[np.ndarray]:
+    """Triangles of each of the chosen faces [F]."""
+    cut = []
+    for face in np.flatnonzero(chosen):
         corners = faces.start[face] + np.arange(faces.count[face])
-        cut.append(corners[_cut_ears(_in_plane(points[corners], normals[face]))])
-    return np.concatenate(cut)
+        cut.append(corners[cut_ears(_in_plane(points[corners], normals[face]))])
+    return cut
 
 
-def _check_corners(concave: np.ndarray, count: np.ndarray, where: str) -> None:
-    """Refuse more corners than can be cut in a time that one would wait."""
+def _check_corners(concave: np.ndarray, count: np.ndarray, where: str) -> float:
+    """Refuse more corners than can be cut in a time that one would wait; the sum of their squares."""
     for face in concave[count[concave] > MAX_CONCAVE_CORNERS][:1]:
         raise ValueError(
             f"{where}: face {face} is concave and has {count[face]} corners; at most {MAX_CONCAVE_CORNERS} are cut"
         )
-    if np.sum(count[concave].astype(np.float64) ** 2) > MAX_CONCAVE_CORNERS**2:
+    squares = float(np.sum(count[concave].astype(np.float64) ** 2))
+    if squares > MAX_CONCAVE_CORNERS**2:
         raise ValueError(
             f"{where}: {len(concave)} concave faces have {count[concave].sum()} corners together; the squares of their "
             f"numbers of corners may come to {MAX_CONCAVE_CORNERS**2}"
         )
+    return squares
 
 
 def _in_plane(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -138,119 +226,3 @@ def _in_plane(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
     axis = int(np.argmax(np.abs(normal)))
     u, v = ((1, 2), (2, 0), (0, 1))[axis]
     return points[:, [u, v]] if normal[axis] > 0 else points[:, [v, u]]
-
-
-def _cut_ears(points: np.ndarray) -> np.ndarray:
-    """[n - 2, 3] triangles of a simple polygon [n, 2] that runs counterclockwise.
-
-    A corner is an ear when it turns left and no other corner lies in its triangle; if one does, so does one that turns
-    right. Cutting an ear leaves all corners but its two neighbours what they were, so each is looked at a few times.
-    A polygon that is not simple has no ear at some point; the next corner in turn is then cut off, so that the result
-    is finite (X3D: undefined).
-    """
-    ring = _Ring(points)
-    triangles = []
-    at = 0
-    while ring.count > 3:
-        at = ring.ear_from(at)
-        before, after = ring.preceding[at], ring.following[at]
-        triangles.append((before, at, after))
-        ring.cut(at)
-        at = ring.following[after]  # every other corner first: fewer slivers than cutting along one side
-    triangles.append(tuple(sorted((ring.preceding[at], at, ring.following[at]))))
-    return np.array(triangles, dtype=np.int64)
-
-
-_Place = tuple[float, float]
-
-
-class _Ring:
-    """The corners of a polygon [n, 2] that are not cut off yet, and which of them are ears."""
-
-    def __init__(self, points: np.ndarray) -> None:
-        self.count = len(points)
-        self.following = [*range(1, self.count), 0]
-        self.preceding = [self.count - 1, *range(self.count - 1)]
-        self._points = points
-        self._places: list[_Place] = [(x, y) for x, y in points.tolist()]
-        self._left = np.ones(self.count, dtype=bool)
-        self._turns_right = np.zeros(self.count, dtype=bool)
-        """Also corners without a turn."""
-        self._ears: list[int] = []
-        """In ascending order."""
-        self._looks = 6
-        """How often all corners are looked at: again only where some touch one another."""
-
-    def ear_from(self, corner: int) -> int:
-        """The first ear from a corner on; the corner itself if there is none."""
-        if not self._ears and self._looks > 0:
-            self._looks -= 1
-            self._look_at(np.flatnonzero(self._left).tolist())
-        return self._ears[bisect.bisect_left(self._ears, corner) % len(self._ears)] if self._ears else corner
-
-    def cut(self, corner: int) -> None:
-        """Take a corner away."""
-        before, after = self.preceding[corner], self.following[corner]
-        self.following[before], self.preceding[after] = after, before
-        self.count -= 1
-        self._left[corner] = self._turns_right[corner] = False
-        self._note(corner, is_ear=False)
-        self._look_at([before, after])
-
-    def _look_at(self, corners: list[int]) -> None:
-        turns = [self._turn(corner) for corner in corners]
-        self._turns_right[corners] = [turn <= 0 for turn in turns]
-        for corner, turn in zip(corners, turns, strict=True):
-            self._note(corner, is_ear=self._may_go(corner) if turn == 0 else turn > 0 and self._is_empty(corner))
-
-    def _note(self, corner: int, *, is_ear: bool) -> None:
-        place = bisect.bisect_left(self._ears, corner)
-        if (self._ears[place : place + 1] == [corner]) == is_ear:
-            return
-        if is_ear:
-            self._ears.insert(place, corner)
-        else:
-            self._ears.pop(place)
-
-    def _turn(self, corner: int) -> int:
-        """1 to the left, 0 for none, -1 to the right."""
-        return _side(*self._triangle(corner))
-
-    def _may_go(self, corner: int) -> bool:
-        """A corner without a turn may go once nothing is lost: its triangle has no area."""
-        (ax, ay), (bx, by), (cx, cy) = self._triangle(corner)
-        return (bx - ax) * (cx - bx) + (by - ay) * (cy - by) >= 0
-
-    def _is_empty(self, corner: int) -> bool:
-        """Whether no corner lies in a corner's triangle."""
-        a, b, c = self._triangle(corner)
-        edges = ((a, b), (b, c), (c, a))
-        others = self._points[self._turns_right]
-        outside = np.zeros(len(others), dtype=bool)
-        for p, q in edges:
-            left, error = _left_of(p, q, others[:, 0], others[:, 1])
-            outside |= left < -error
-        # Corners of the triangle itself, and corners that coincide with one (a bridge to a hole), do not count.
-        near = [other for other in map(tuple, others[~outside].tolist()) if other not in (a, b, c)]
-        return not any(all(_side(p, q, other) >= 0 for p, q in edges) for other in near)
-
-    def _triangle(self, corner: int) -> tuple[_Place, _Place, _Place]:
-        return self._places[self.preceding[corner]], self._places[corner], self._places[self.following[corner]]
-
-
-def _left_of(p: _Place, q: _Place, x: Any, y: Any) -> tuple[Any, Any]:
-    """How far points lie to the left of the line from p to q, times its length, and the most that rounding can do."""
-    one, other = (q[0] - p[0]) * (y - p[1]), (q[1] - p[1]) * (x - p[0])
-    return one - other, 4 * np.finfo(np.float64).eps * (abs(one) + abs(other))
-
-
-def _side(p: _Place, q: _Place, point: _Place) -> int:
-    """1 for a point to the left of the line from p to q, -1 to the right, 0 on it: exact.
-
-    Corners on one line are common, and rounding puts some of them on the wrong side once the face is turned.
-    """
-    left, error = _left_of(p, q, *point)
-    if not abs(left) > error:
-        (px, py), (qx, qy), (x, y) = ((Fraction(u), Fraction(v)) for u, v in (p, q, point))
-        left = (qx - px) * (y - py) - (qy - py) * (x - px)
-    return (left > 0) - (left < 0)
