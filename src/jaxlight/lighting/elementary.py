@@ -267,9 +267,11 @@ def log_of_alignment(alignment: Float[Array, "..."]) -> Float[Array, "..."]:
     """ln(cos a) from cos a where positive, and from cos a - 1 where not: near a = 0 the digits are in the second."""
     near = alignment <= 0
     # cos a = 2^e (1 + t) with 1 + t in [3/4, 3/2)
-    bits, mantissa = _bits(alignment), _MANTISSA[alignment.dtype]
-    e = (bits - _THREE_QUARTERS[alignment.dtype]) >> mantissa
-    t = jnp.where(near, alignment, _from_bits(bits - (e << mantissa), alignment.dtype) - 1.0)
+    mantissa, bias = _MANTISSA[alignment.dtype], _BIAS[alignment.dtype]
+    e = (_bits(alignment) - _THREE_QUARTERS[alignment.dtype]) >> mantissa
+    # A product, not the bits of one: where JAX drops the rule below (in primal loops that it hoists from), derivatives
+    # of this are right too.
+    t = jnp.where(near, alignment, alignment * _from_bits((bias - e) << mantissa, alignment.dtype) - 1.0)
     e = jnp.where(near, 0, e).astype(alignment.dtype)
     t2 = t * t
     log1p = t + (t2 * t * polynomial(_LOG[alignment.dtype], t) - 0.5 * t2)

@@ -115,9 +115,14 @@ def _lanes_of_loops(how: TileKind, samples: SampleBuffer) -> int:
 
 
 def _always(how: TileKind, samples: SampleBuffer, number: Array | int) -> Bool[Array, ""]:
-    """True, but only the running program knows; `number` is at least 0."""
+    """True, but only the running program knows; `number` is at least 0.
+
+    By the number in any case: where JAX divides a loop into what is known before and what is not, stages of a known
+    one would be taken apart, and lose the derivatives that their functions have of their own.
+    """
+    always = jnp.asarray(number) >= 0
     alone = how.run.stop - how.run.start <= how.count
-    return samples.tile_surface[0] >= 0 if alone else jnp.asarray(number) >= 0
+    return always & (samples.tile_surface[0] >= 0) if alone else always
 
 
 def _color(
