@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from jaxlight import Scene, nodes
+from jaxlight.scene.transforms import rotation_matrix
 
 
 def shape(material: nodes.Material | None, texture: nodes.PixelTexture | None = None) -> nodes.Shape:
@@ -35,3 +37,9 @@ def test_turns_and_even_scales_are_a_similarity_but_for_rounding() -> None:
         inner = nodes.Transform(rotation=random.normal(size=4), scale=(0.1, 0.1, 0.1), children=[nodes.PointLight()])
         outer = nodes.Transform(rotation=random.normal(size=4), scale=(3, 3, 3), children=[inner])
         assert Scene.from_nodes([outer]).point.frame == "similarity"
+
+
+@pytest.mark.parametrize("length", [1e-320, 1e-170, 1e-150, 1e150, 1e155, 1e308])
+def test_an_axis_of_any_length_turns_alike(length: float) -> None:
+    expected = rotation_matrix((0.0, 1.0, 1.0, 0.5))
+    np.testing.assert_allclose(rotation_matrix((0.0, length, length, 0.5)), expected, atol=1e-15)

@@ -13,7 +13,7 @@ from ..scene import Scene, nodes
 from ..scene.checks import check_has_nodes
 from ..scene.document import PlacedViewpoint
 from ..scene.fields import number, positive, whole
-from ..scene.transforms import IDENTITY, apply_to_points, rotation_matrix
+from ..scene.transforms import IDENTITY, apply_to_points, rotation_matrix, unit
 from .pattern import sample_pattern
 from .shapes import geometries_of, world_bounds
 
@@ -156,7 +156,7 @@ class Camera:
         toward = _finite("Camera.view_all: direction", direction, (3,))
         if not np.any(toward):
             raise ValueError("Camera.view_all: direction is zero")
-        toward = _unit(toward)
+        toward = unit(toward)
         up = np.array([0.0, 0.0, -1.0]) if abs(toward[1]) > 0.99 else np.array([0.0, 1.0, 0.0])
         distance = (radius or 1.0) / math.sin(field_of_view / 2)
         return cls(center - distance * toward, _upright(toward, up), field_of_view)
@@ -262,17 +262,10 @@ def checked_rotation(what: str, value: Any) -> np.ndarray:
     return rotation
 
 
-def _unit(direction: np.ndarray) -> np.ndarray:
-    """Of length 1, whose square neither overflows nor underflows on the way."""
-    _, exponent = math.frexp(np.abs(direction).max())
-    scaled = np.ldexp(direction, -exponent)
-    return scaled / (np.linalg.norm(scaled) or 1.0)
-
-
 def _upright(toward: np.ndarray, up: np.ndarray) -> np.ndarray:
     """Camera axes to world: looking along `toward`, `up` upwards."""
-    back = -_unit(toward)
-    right = np.cross(_unit(up), back)
+    back = -unit(toward)
+    right = np.cross(unit(up), back)
     length = np.linalg.norm(right)
     if not length > 1e-12:
         raise ValueError(f"Camera: up {up.tolist()} points along the view {toward.tolist()}")

@@ -12,13 +12,19 @@ IDENTITY = np.hstack([np.eye(3), np.zeros((3, 1))])
 IDENTITY.setflags(write=False)
 
 
+def unit(direction: np.ndarray) -> np.ndarray:
+    """Of length 1, whose square neither overflows nor underflows on the way; zero stays zero."""
+    _, exponent = math.frexp(np.abs(direction).max())
+    scaled = np.ldexp(direction, -exponent)
+    return scaled / (np.linalg.norm(scaled) or 1.0)
+
+
 def rotation_matrix(axis_angle: tuple[float, float, float, float]) -> np.ndarray:
     """The 3 x 3 matrix of an axis-angle rotation (x, y, z, radians); a zero axis is no rotation (Rodrigues)."""
     axis, angle = np.asarray(axis_angle[:3], dtype=np.float64), axis_angle[3]
-    length = float(np.linalg.norm(axis))
-    if length == 0.0:
+    if not np.any(axis):
         return np.eye(3)
-    x, y, z = axis / length
+    x, y, z = unit(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
 
