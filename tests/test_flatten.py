@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
+from typing import Any
+
 import numpy as np
 import pytest
 
+from fit_scenes import precision
 from jaxlight import Scene, nodes
 from jaxlight.scene.transforms import rotation_matrix
 
@@ -43,3 +47,26 @@ def test_turns_and_even_scales_are_a_similarity_but_for_rounding() -> None:
 def test_an_axis_of_any_length_turns_alike(length: float) -> None:
     expected = rotation_matrix((0.0, 1.0, 1.0, 0.5))
     np.testing.assert_allclose(rotation_matrix((0.0, length, length, 0.5)), expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", [nodes.PointLight, nodes.SpotLight])
+@pytest.mark.parametrize(
+    ("scale", "location", "dtype", "reach"),
+    [
+        ((1, 100, 1), (1, 3.4e38, 1), "float32", "3.4e+40"),
+        ((1e10, 1e10, 1e10), (0, -1e29, 0), "float32", "1e+39"),
+        ((1e10, 1e10, 1e10), (0, 1e300, 0), "float64", "inf"),
+    ],
+)
+def test_a_light_that_transforms_move_beyond_the_type_is_refused(
+    kind: type[nodes.PointLight], scale: Any, location: Any, dtype: str, reach: str
+) -> None:
+    light = nodes.Transform(scale=scale, children=[kind(location=location, name="far")])
+    said = rf"{kind.__name__}\[far\].location: with the transforms above it {re.escape(reach)} is larger than"
+    with precision(dtype), pytest.raises(ValueError, match=said):
+        Scene.from_nodes([light], dtype=dtype)
+
+
+def test_the_farthest_light_of_a_type_is_held_where_no_transform_moves_it() -> None:
+    light = nodes.PointLight(location=(3e38, -3e38, 3e38))
+    assert np.all(np.isfinite(Scene.from_nodes([light], dtype="float32").point.location))

@@ -238,6 +238,17 @@ class _Stack:
             "frame": frame_kind(frames),
         }
 
+    def _check_places(self, lights: list[tuple[Any, np.ndarray, np.ndarray]]) -> None:
+        """The products and sums that place a light in the world, and so their derivatives, stay within the type."""
+        frames = np.abs([to_world for _, to_world, _ in lights])
+        locations = np.abs([light.location for light, _, _ in lights])
+        with np.errstate(over="ignore"):
+            reach = np.max(np.einsum("lij,lj->li", frames[..., :3], locations) + frames[..., 3], axis=1)
+        largest, row = largest_of(self.dtype), int(np.argmax(reach))
+        if reach[row] > largest:
+            said = f"with the transforms above it {reach[row]:g} is larger than {largest:.3g}, the most that the type"
+            raise ValueError(f"{lights[row][0].label}.location: {said} holds")
+
     def _to_local(self, lights: list[tuple[Any, np.ndarray, np.ndarray]]) -> Any:
         inverses = [np.linalg.inv(to_world[:, :3]) for _, to_world, _ in lights]
         return self.floats(inverses, lambda row: f"{lights[row][0].label}: the inverse of its frame")
@@ -267,12 +278,14 @@ class _Stack:
         if not lights:
             return None
         fields = self._light(lights, "attenuation", "location", "radius")
+        self._check_places(lights)
         return PointLights(**fields, to_local=self._to_local(lights))
 
     def spot(self, lights: list[Any]) -> SpotLights | None:
         if not lights:
             return None
         fields = self._light(lights, "attenuation", "beam_width", "cut_off_angle", "direction", "location", "radius")
+        self._check_places(lights)
         return SpotLights(**fields, to_local=self._to_local(lights))
 
     def fog(self, node: nodes.Fog, to_world: np.ndarray) -> Fog:
