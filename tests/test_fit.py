@@ -363,6 +363,7 @@ WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "noise": ({"noise": 0.0}, {}, "View[0].noise: expected a standard deviation, finite and > 0, got 0.0"),
     "a noise of 0": ({"noise": 1.0 - (np.arange(1804) == 7)}, {}, "View[0].noise: every standard deviation must be finite and > 0; 1 of the used points are not (first: row"),
     "a sure prior": ({}, {"free": Free("Material[body].shininess", deviation=1e-30)}, "free: a prior's deviation is too small: 1 / deviation^2 is more than float32 holds"),
+    "a surer prior": ({}, {"free": Free("Material[body].shininess", deviation=1e-160)}, "free: a prior's deviation is too small: 1 / deviation^2 is more than float32 holds"),
     "noise of words": ({"noise": "a"}, {}, "View[0].noise: expected numbers, got 'a'"),
     "background of words": ({"background": "white"}, {}, "View[0].background: expected numbers, got 'white'"),
     "NaN background": ({"background": (np.nan, 0, 0)}, {}, "View[0].background: every number must be finite"),

@@ -229,6 +229,8 @@ WRONG: dict[str, tuple[Any, str]] = {
     "NaN bound": (Free(SKIN, lower=np.nan), "Texture[skin].image: lower: expected one number, one a component, or an image"),
     "bound in words": (Free(SKIN, upper="a"), "Texture[skin].image: upper: expected one number, one a component, or an image"),
     "reversed bounds": (Free(SKIN, lower=0.9, upper=[0.1, 1, 1]), "Texture[skin].image: 144 texels have a lower bound above their upper bound"),
+    "smooth beyond numbers": (Free(SKIN, smoothness=1e-160), "Texture[skin].image: smoothness and total_variation: too"),
+    "sure beyond numbers": (Free(SKIN, deviation=1e-160), "a prior's deviation is too small"),
     "not a texture": (Free("Material[body].shininess", smoothness=1.0), "smoothness and total_variation are for whole textures"),
     "twice": ([SKIN, SKIN + "[0][0][1]"], "Texture[0].image is named twice"),
 }  # fmt: skip

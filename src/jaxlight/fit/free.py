@@ -161,7 +161,7 @@ class _Numbers:
             raise ValueError(
                 f"free: {earlier.label} and {own.label} are one number, with two priors: {earlier} and {own}"
             )
-        self._mean[number], self._precision[number] = own.mean, deviation**-2
+        self._mean[number], self._precision[number] = own.mean, _precision_of(deviation)
 
     def columns(self) -> list[np.ndarray]:
         """The first fields of `Parameters`, from `start` to `prior_precision`."""
@@ -283,10 +283,11 @@ def _texel_block(
         0.0 if given is None else 1 / number(f"{path}: {option}", given, above=0.0, infinite=True)
         for option, given in (("smoothness", request.smoothness), ("total_variation", request.total_variation))
     )
-    if max(smoothness**2, variation) > largest_of(dtype):
+    precision = smoothness * smoothness  # a power of floats raises where it is too large
+    if max(precision, variation) > largest_of(dtype):
         raise ValueError(f"{path}: smoothness and total_variation: too small for what {np.dtype(dtype)} holds")
     block = TexelBlock(
-        smoothness=jnp.asarray(smoothness**2, dtype),
+        smoothness=jnp.asarray(precision, dtype),
         total_variation=jnp.asarray(variation, dtype),
         texture=leaf.row,
         offset=offset,
@@ -294,7 +295,7 @@ def _texel_block(
         path=path,
     )
     values = np.clip(start.reshape(-1), low, high)
-    return block, [values, low, high, mean, deviation**-2.0]
+    return block, [values, low, high, mean, _precision_of(deviation)]
 
 
 def _requests(free: Any) -> list[Free]:
@@ -370,6 +371,12 @@ def _check_inside(what: str, start: float, low: float, high: float) -> None:
     slack = 1e-6 * max(1.0, abs(start))
     if not low - slack <= start <= high + slack:
         raise ValueError(f"{what} starts at {start:g}, outside its bounds [{low:g}, {high:g}]")
+
+
+def _precision_of(deviation: Any) -> Any:
+    """1 / deviation^2; infinity where that is more than there are numbers."""
+    with np.errstate(over="ignore"):
+        return np.asarray(deviation, np.float64) ** -2.0
 
 
 def _check_one_prior(request: Free, path: str) -> None:
