@@ -89,6 +89,9 @@ BAD_WORDS = {
     "a folder": (("info", "."), "expected a file"),
     "a pipe": (("info", "pipe.x3d"), "pipe.x3d: is a pipe or a device; only files are read"),
     "no such viewpoint": (("render", "scene.x3d", "--output", "a.png", "--viewpoint", "back"), "front, side"),
+    "a loop": (("render", "scene.x3d", "--output", "loop.png"), "loop.png: is a link that leads in a circle"),
+    "a loop as a folder": (("render", "scene.x3d", "--output", "loop.png/a.png"), "a.png: is a link that leads in a"),
+    "a loop as a scene": (("info", "loop.png"), "loop.png: is a link that leads in a circle"),
     "not a picture": (("render", "scene.x3d", "--output", "a.xyz"), ".png"),
     "in a file": (
         ("render", "scene.x3d", "--output", "scene.x3d/b/a.png"),
@@ -106,6 +109,7 @@ def test_bad_input_is_one_line_and_status_2(run, case: str) -> None:
     Path("bad.x3d").write_text(SCENE.replace('shininess="0.3"', 'shininess="much"'))
     Path("notes.txt").write_text("dear diary")
     os.mkfifo("pipe.x3d")
+    Path("loop.png").symlink_to("loop.png")
     args, part = BAD_WORDS[case]
     result = run(*args)
     assert result.status == 2

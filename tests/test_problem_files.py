@@ -267,12 +267,16 @@ def test_a_byte_order_mark_before_the_text_is_no_text(folder: Path) -> None:
     assert str(file.error(("scene",), "bad")).endswith("problem.toml:1: scene: bad")
 
 
-def test_a_link_out_of_the_folder_is_refused(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_links_outside_and_in_a_circle_are_refused(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     outside = tmp_path_factory.mktemp("outside") / "mask.png"
     (folder / "mask.png").rename(outside)
     (folder / "mask.png").symlink_to(outside)
     (folder / "problem.toml").write_text(GOOD)
     with pytest.raises(SceneFileError, match=r"problem\.toml:10: views\[1\]\.mask: mask\.png is outside"):
+        ProblemFile(folder / "problem.toml")
+    (folder / "mask.png").unlink()
+    (folder / "mask.png").symlink_to("mask.png")
+    with pytest.raises(SceneFileError, match=r"mask: mask\.png: is a link that leads in a circle"):
         ProblemFile(folder / "problem.toml")
 
 
@@ -282,6 +286,7 @@ WORDS = {
     "what goes with the file": (["--overwrite", "--output", "problem.toml"], "expected a folder, got a file"),
     "a picture beside the file": (["x.png"], "PICTURE: belongs in"),
     "no output": ([], "output: expected a folder for the results"),
+    "a loop of links as an output": (["--output", "results"], "checkpoint.npz: is a link that leads in a circle"),
     "the problem as an output": (["--output", "."], "is an input of this command"),
 }
 
@@ -293,6 +298,8 @@ def test_options_beside_a_problem_file(
     monkeypatch.chdir(folder)
     (folder / "problem.toml").write_text(GOOD)
     (folder / "fit.json").symlink_to("problem.toml")
+    (folder / "results").mkdir()
+    (folder / "results" / "checkpoint.npz").symlink_to("checkpoint.npz")
     words, expected = WORDS[case]
     assert main(["fit", "problem.toml", *words]) == 2
     assert expected in capsys.readouterr().err

@@ -22,13 +22,15 @@ def existing(*paths: Path) -> None:
 
 
 def spare(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
-    """Raise ValueError if writing one of `outputs` would destroy one of `inputs` (also through a link).
+    """Raise ValueError if writing one of `outputs` would destroy one of `inputs` (also through a link) or has no place.
 
     Folders of outputs that are not there yet will be made.
     """
+    from ..formats.limits import resolved
+
     inputs = [path for path in inputs if path.exists()]
     for output in outputs:
-        place = output.resolve()  # a/../b is b, even before there is an a
+        place = resolved(output)  # a/../b is b, even before there is an a
         for path in inputs:
             if place.exists() and place.samefile(path):
                 raise ValueError(f"{output}: is an input of this command; choose another output")

@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from ..formats.errors import SceneFileError
-from ..formats.limits import read_bounded
+from ..formats.limits import CIRCLE, read_bounded, resolved
 from .options import Reading
 from .problem import OUTPUT, CameraProblem, FitProblem, MapsProblem, ViewProblem
 from .toml_lines import Key, key_lines
@@ -114,8 +114,13 @@ class ProblemFile:
         if not isinstance(value, str) or not value or "\0" in value:
             raise self.error(key, f"expected a path, got {_shown(value)}")
         folder = self.path.parent
-        absolute = PurePosixPath(value).is_absolute() or PureWindowsPath(value).anchor
-        if absolute or not (folder / value).resolve().is_relative_to(folder.resolve()):
+        if PurePosixPath(value).is_absolute() or PureWindowsPath(value).anchor:
+            raise self.error(key, f"{value} is outside the folder of the problem file")
+        try:
+            place = resolved(folder / value)
+        except ValueError:
+            raise self.error(key, f"{value}: {CIRCLE}") from None
+        if not place.is_relative_to(folder.resolve()):
             raise self.error(key, f"{value} is outside the folder of the problem file")
         if must_exist and not (folder / value).is_file():
             raise self.error(key, f"{value}: no such file beside the problem file")

@@ -16,6 +16,8 @@ MAX_NESTING = 400
 MAX_PIXELS = 2**26
 """Pixels of one image, and of all textures of one scene together."""
 
+CIRCLE = "is a link that leads in a circle"
+
 
 def as_path(where: str, path: Any) -> Path:
     """The path that somebody gives; raises ValueError that names what else it is."""
@@ -24,11 +26,32 @@ def as_path(where: str, path: Any) -> Path:
     return Path(path)
 
 
+def resolved(path: Path) -> Path:
+    """The path behind all links.
+
+    Raises:
+        ValueError: links that lead in a circle.
+    """
+    try:
+        place = path.resolve()
+        if not place.is_symlink():  # from Python 3.13 on, such a link stays as it is
+            return place
+    except RuntimeError:
+        pass
+    raise ValueError(f"{path}: {CIRCLE}")
+
+
 def what_it_is(path: Path) -> str:
     """What stands where a file is expected and is none."""
     if path.is_dir():
         return "is a folder"
-    return "is a pipe or a device; only files are read" if path.exists() else "no such file"
+    if path.exists():
+        return "is a pipe or a device; only files are read"
+    try:
+        resolved(path)
+    except ValueError:
+        return CIRCLE
+    return "no such file"
 
 
 def read_bounded(path: Path) -> bytes:
