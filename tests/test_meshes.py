@@ -325,6 +325,11 @@ def test_an_unlit_material_gives_way_to_the_colours_of_its_own_mesh_only(
         assert materials["colored"] is materials["plain"] is not None
 
 
+def below(*children: list[int]) -> list[dict]:
+    """Nodes of a glTF header."""
+    return [{"mesh": 0, "children": own} for own in children]
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -347,6 +352,12 @@ def test_an_unlit_material_gives_way_to_the_colours_of_its_own_mesh_only(
         (lambda h: h["nodes"][0].update(mesh=9), "glTF node 0 has 9 of the file's 2 meshes"),
         (lambda h: h["nodes"][0].update(mesh="x"), "glTF node 0 has 'x' of"),
         (lambda h: h["nodes"][0].update(children=[-1]), "glTF node 0 has -1 of the file's"),
+        (
+            lambda h: h.update(nodes=below([1, 2], [3], [3], [])),
+            "glTF node 3 is a child of node 1 and of node 2;",
+        ),
+        (lambda h: h.update(nodes=below([1, 1], [])), "glTF node 1 is a child of node 0 and of node 0; a node has one"),
+        (lambda h: h.update(nodes=below([], [2], [1])), "glTF node 2 stands below itself"),
         (lambda h: h["scenes"][0].update(nodes=[77]), "glTF scene 0 has 77 of"),
         (
             lambda h: h["nodes"][0].update(translation=[0, math.nan, 0]),

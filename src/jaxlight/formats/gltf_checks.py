@@ -77,6 +77,7 @@ def check_header(path: Path, header: dict[str, Any], size: int, held: int, notes
     _check_meshes(path, header, size, notes)
     for row, node in enumerate(header.get("nodes", [])):
         _check_node(path, header, row, node, notes)
+    _check_parents(path, header.get("nodes", []))
     for row, scene in enumerate(header.get("scenes", [])):
         check_rows(path, f"scene {row}", scene.get("nodes", []), header, "nodes")
     if "scenes" in header:
@@ -212,6 +213,26 @@ def _check_node(path: Path, header: dict[str, Any], row: int, node: dict[str, An
     if np.linalg.matrix_rank(linear) < 3:
         notes.simplified["glTF node scaled to nothing, left out with its children"] += 1
         header["nodes"][row] = {}
+
+
+def _check_parents(path: Path, nodes: list[dict[str, Any]]) -> None:
+    """Whether the nodes are trees (glTF 2.0, 3.5.2): their ways from the top are as many as they are."""
+    parents: dict[int, int] = {}
+    for row, node in enumerate(nodes):
+        for child in node.get("children", []):
+            if child in parents:
+                message = f"glTF node {child} is a child of node {parents[child]} and of node {row}"
+                raise SceneFileError(path, None, f"{message}; a node has one parent at most")
+            parents[child] = row
+    done: set[int] = set()
+    for row in parents:
+        below: set[int] = set()
+        while row in parents and row not in done:
+            if row in below:
+                raise SceneFileError(path, None, f"glTF node {row} stands below itself")
+            below.add(row)
+            row = parents[row]
+        done |= below
 
 
 def _mend_materials(header: dict[str, Any], notes: ReadNotes) -> None:
