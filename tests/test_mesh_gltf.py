@@ -278,6 +278,7 @@ def textured(header: dict, use: object) -> None:
         (lambda h: h["nodes"][0].update(translation=[1] * 4), "nodes[0].translation: expected 3 finite numbers"),
         (lambda h: h["nodes"][0].update(matrix=[1, 2]), "nodes[0].matrix: expected 16 finite numbers, got [1, 2]"),
         (lambda h: h["nodes"][0].update(children=1), "nodes[0].children: expected a list, got 1"),
+        (lambda h: h["buffers"].append({"byteLength": 1}), "buffer 1 has no uri; only buffer 0 may stand in a glb"),
         (lambda h: h["nodes"][0].update(scale=[10**30, 0, math.inf]), "nodes[0].scale: expected 3 finite numbers"),
         (lambda h: h["bufferViews"][0].update(byteOffset=10**9), "bufferView 0 ends after 10"),
         (lambda h: h["buffers"][0].update(byteLength=10**9), "buffer 0 has 1000000000 bytes, the file holds"),
@@ -477,6 +478,11 @@ def test_buffers_beside_the_file_hold_entries_too(tmp_path: Path) -> None:
     (tmp_path / "a.glb").write_bytes(struct.pack("<4s4I", b"glTF", 2, 20 + len(chunk), len(chunk), 0x4E4F534A) + chunk)
     (shape,) = shapes_of(tmp_path / "a.glb")
     assert np.count_nonzero(shape.geometry.coord_index == -1) == len(mesh.faces)
+    last = header["buffers"][-1]
+    (tmp_path / last["uri"]).write_bytes(files[last["uri"]][:-1])
+    held = f"'{last['uri']}' holds {last['byteLength'] - 1} of them: truncated"
+    with pytest.raises(SceneFileError, match=rf"buffer \d+ has {last['byteLength']} bytes, {re.escape(held)}"):
+        shapes_of(tmp_path / "a.glb")
 
 
 def test_factors_that_round_beyond_1_are_not_named(tmp_path: Path, glb: bytes) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from .errors import SceneFileError
+from .folder import ResourceFolder
 from .gltf_schema import COMPONENT_BYTES, COMPONENTS, LIGHTS, TRANSFORM, UNLIT, check_types
 from .limits import MAX_FILE_BYTES
 from .mesh_materials import SPECULAR_GLOSSINESS
@@ -101,15 +102,31 @@ def _is_beside(buffer: dict[str, Any]) -> bool:
 
 
 def _check_buffers(path: Path, header: dict[str, Any], held: int) -> None:
-    """Whether the first buffer, if it has no file of its own, stands in this one, and views lie in their buffers."""
+    """Whether buffers are as long as they say, and views lie in them; the first may stand behind the header."""
     buffers = header.get("buffers", [])
-    if buffers and "uri" not in buffers[0] and buffers[0]["byteLength"] > held:
-        message = f"glTF buffer 0 has {buffers[0]['byteLength']} bytes, the file holds {held} of them: truncated?"
-        raise SceneFileError(path, None, message)
+    for row, buffer in enumerate(buffers):
+        if row and "uri" not in buffer:
+            raise SceneFileError(path, None, f"glTF buffer {row} has no uri; only buffer 0 may stand in a glb file")
+        there = _bytes_at(path, buffer["uri"]) if "uri" in buffer else held
+        if there is not None and buffer["byteLength"] > there:
+            file = f"{buffer['uri']!r:.60}" if _is_beside(buffer) else "the file"
+            message = f"glTF buffer {row} has {buffer['byteLength']} bytes, {file} holds {there} of them: truncated?"
+            raise SceneFileError(path, None, message)
     for row, view in enumerate(header.get("bufferViews", [])):
         end, whole = view.get("byteOffset", 0) + view["byteLength"], buffers[view["buffer"]]["byteLength"]
         if end > whole:
             raise SceneFileError(path, None, f"glTF bufferView {row} ends after {end} bytes; its buffer has {whole}")
+
+
+def _bytes_at(path: Path, uri: str) -> int | None:
+    """How many bytes a buffer's uri gives, at most; None: none can be had, as is said where they are read."""
+    _, mark, encoded = uri.partition("base64,")
+    if mark:
+        return len(encoded.rstrip("=")) * 3 // 4
+    try:
+        return ResourceFolder(path).find(uri).stat().st_size
+    except (OSError, ValueError):
+        return None
 
 
 def _check_accessor(path: Path, header: dict[str, Any], row: int, accessor: dict[str, Any]) -> None:
