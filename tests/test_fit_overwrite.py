@@ -50,6 +50,17 @@ def test_a_file_that_is_no_checkpoint_is_not_replaced(tmp_path: Path, name: str)
     assert list(contents(tmp_path)) == [name]
 
 
+@pytest.mark.filterwarnings("ignore:.*no checkpoint yet")
+@pytest.mark.parametrize("resume", [False, True])
+@pytest.mark.parametrize("name", ["fit.npz", "fit.previous.npz", "log.jsonl"])
+def test_pipes_and_devices_are_neither_read_nor_written(tmp_path: Path, name: str, resume: bool) -> None:
+    for make in (os.mkfifo, lambda path: path.symlink_to("/dev/zero")):
+        make(tmp_path / name)
+        with pytest.raises(ValueError, match=re.escape(f"{name}: is a pipe or a device; only files are read")):
+            run(tmp_path, resume=resume)
+        (tmp_path / name).unlink()
+
+
 @pytest.fixture(scope="module")
 def over(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the checkpoints of a fit that is over."""

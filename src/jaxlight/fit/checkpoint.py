@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..formats.limits import check_no_other
 from ..formats.safe_write import drafts_of, written_whole
 from ..scene.flags import Flags
 from .archive import array_in
@@ -88,13 +89,14 @@ class Checkpoint:
         """The newest whole checkpoint; None if there is none.
 
         Raises:
-            ValueError: it belongs to another problem or another version, or all there is is damaged.
+            ValueError: it is no file, belongs to another problem or another version, or all there is is damaged.
         """
         for draft in drafts_of(self.path):
             draft.unlink()  # a run was killed while it wrote
         there = [path for path in (self.path, self.previous) if path.exists()]
         damages = []
         for path in there:
+            check_no_other(path)
             try:
                 saved = self._read(path)
             except _Damaged as damage:

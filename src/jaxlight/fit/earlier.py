@@ -6,6 +6,7 @@ import json
 import zipfile
 from pathlib import Path
 
+from ..formats.limits import check_no_other
 from .archive import array_in
 
 LARGEST_HEADER = 1 << 16
@@ -31,6 +32,7 @@ def spare_unfinished(*checkpoints: Path, fit: str | None = None) -> None:
     path = next((path for path in checkpoints if path.exists()), None)
     if path is None:
         return
+    check_no_other(path)
     try:
         over, of_fit = _read(path)
     except Exception:  # archive and array readers stumble over other files in whatever way

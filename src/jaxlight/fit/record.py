@@ -16,6 +16,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from ..formats.limits import check_no_other
 from .checkpoint import Checkpoint
 from .problem import Description, Problem
 from .run import FitState
@@ -38,13 +39,14 @@ class RunLog:
         append: carry on with a log that is there.
 
     Raises:
-        ValueError: another file is there.
+        ValueError: another file is there, or something that is none.
     """
 
     def __init__(self, path: str | Path, *, append: bool = False) -> None:
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_file() and not _is_log(path):
+        check_no_other(path)
+        if path.exists() and not _is_log(path):
             raise ValueError(f"log: {path} is no log of a fit, and is not replaced by one")
         if append and path.exists():
             os.truncate(path, path.read_bytes().rfind(b"\n") + 1)

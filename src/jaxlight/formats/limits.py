@@ -54,6 +54,12 @@ def what_it_is(path: Path) -> str:
     return "no such file"
 
 
+def check_no_other(path: Path) -> None:
+    """Raise ValueError if something stands at the path that is no file."""
+    if path.exists() and not path.is_file():
+        raise ValueError(f"{path}: {what_it_is(path)}")
+
+
 def read_bounded(path: Path) -> bytes:
     """The content of a file of at most MAX_FILE_BYTES.
 
