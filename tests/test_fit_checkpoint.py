@@ -408,6 +408,11 @@ DAMAGES = {
     "pickled objects": lambda content: with_member(content, ".values", np.array([print], dtype=object)),
     "no header": lambda content: with_member(content, "header", np.zeros(4, np.uint8)),
     "a header that is no object": lambda content: with_member(content, "header", np.frombuffer(b"[1]", np.uint8)),
+    "values that are none": lambda content: with_member(content, ".values", np.full(7, np.nan, np.float32)),
+    "values without end": lambda content: with_member(content, ".values", np.full(7, np.inf, np.float32)),
+    "a start beyond the bounds": lambda content: with_member(content, ".origin", np.full(7, -0.1, np.float32)),
+    "a loss that is none": lambda content: with_member(content, ".solver.loss", np.float32(np.nan)),
+    "a negative loss": lambda content: with_member(content, ".solver.loss", np.float32(-1)),
     "a broken history": lambda content: with_member(content, "history", np.zeros((2, 2))),
 }
 

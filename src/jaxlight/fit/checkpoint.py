@@ -34,6 +34,8 @@ FORMAT = 3
 """Changes whenever older checkpoints cannot be carried on with."""
 MAX_STEPS = 1_000_000
 """Steps that a checkpoint may list."""
+_SLACK = 1e-4
+"""How far beyond bounds rounding brings numbers, at most, relative to themselves or 1."""
 
 
 class CheckpointWarning(UserWarning):
@@ -71,6 +73,7 @@ class Checkpoint:
         self._digest = digest((problem, solver), run)
         template = eqx.filter_eval_shape(begin, problem, solver)
         leaves, self._structure = jax.tree_util.tree_flatten_with_path(template)
+        self._bounds = [np.asarray(bound) for bound in (problem.parameters.lower, problem.parameters.upper)]
         self._leaves = {jax.tree_util.keystr(path): leaf for path, leaf in leaves}
 
     def save(self, state: FitState, history: Sequence[Step]) -> None:
@@ -126,6 +129,7 @@ class Checkpoint:
             if history.dtype != np.float64 or history.ndim != 2 or history.shape[1] != len(Step._fields):
                 raise ValueError(f"history: expected float64 [steps, {len(Step._fields)}]")
             steps = [_as_step(row) for row in history.tolist()]
+            self._check_numbers(dict(zip(self._leaves, arrays, strict=True)))
         except _Refused:
             raise
         except Exception as error:  # archive, array and JSON readers stumble over a damaged file in whatever way
@@ -153,6 +157,18 @@ class Checkpoint:
             came = f"{array.dtype} {list(array.shape)}"
             raise ValueError(f"{name}: expected {leaf.dtype} {list(leaf.shape)}, got {came}")
         return array
+
+    def _check_numbers(self, arrays: dict[str, np.ndarray]) -> None:
+        """Raise ValueError for what no fit reaches: it would be carried on with."""
+        lower, upper = self._bounds
+        for name in (".values", ".origin"):
+            values = arrays[name]
+            slack = _SLACK * np.maximum(1, np.abs(values))
+            if not np.all(np.isfinite(values) & (values >= lower - slack) & (values <= upper + slack)):
+                raise ValueError(f"{name}: expected finite numbers within the bounds of the fit")
+        loss = arrays[".solver.loss"]
+        if not arrays[".over"] and not (np.isfinite(loss) and loss >= 0):
+            raise ValueError(f".solver.loss: expected a finite number >= 0, got {loss}")
 
 
 class _Refused(ValueError):
