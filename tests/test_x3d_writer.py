@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import dataclasses
 import os
 import re
@@ -94,6 +95,18 @@ def test_encoding_and_line_ends_stay(tmp_path: Path, encoding: str, newline: str
     path.write_bytes(text.encode(encoding))
     save(with_values(quietly(path), materials__shininess=[0.75]), path)
     assert path.read_bytes() == text.replace("shininess = '0.5'", "shininess = '0.75'").encode(encoding)
+
+
+@pytest.mark.parametrize(("encoding", "name"), [("iso-8859-1", "ä"), ("us-ascii", "a"), ("cp1252", "ä")])
+def test_what_a_file_declares_goes_before_a_mark_of_utf8(tmp_path: Path, encoding: str, name: str) -> None:
+    text = x3d(SCENE.replace("DEF='key'", f"DEF='{name}'")).replace("UTF-8", encoding)
+    path = tmp_path / "source.x3d"
+    path.write_bytes(codecs.BOM_UTF8 + text.encode(encoding))
+    scene = quietly(path)
+    assert scene.point.names == (name,)
+    save(with_values(scene, materials__shininess=[0.75]), path)
+    changed = text.replace("shininess = '0.5'", "shininess = '0.75'")
+    assert path.read_bytes() == codecs.BOM_UTF8 + changed.encode(encoding)
 
 
 def test_what_the_encoding_of_a_file_lacks_is_written_as_a_reference(tmp_path: Path) -> None:

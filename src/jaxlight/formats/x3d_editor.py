@@ -18,6 +18,8 @@ _MARKUP = re.compile(
 _ATTRIBUTE = re.compile(r"""([^\s=]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _DECLARED_ENCODING = re.compile(rb"""<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)""")
 
+_UTF8_MARK = b"\xef\xbb\xbf"
+
 
 def with_attributes(path: Path, data: bytes, edits: dict[int, dict[str, str]]) -> bytes:
     """The file with some attributes set.
@@ -30,8 +32,12 @@ def with_attributes(path: Path, data: bytes, edits: dict[int, dict[str, str]]) -
     Raises:
         ValueError: the result would differ from the file in more than these attributes.
     """
-    codec = _codec(data)
-    text = data.decode(codec)
+    mark = _UTF8_MARK if data.startswith(_UTF8_MARK) else b""
+    codec = _codec(data.removeprefix(mark))
+    try:
+        text = data.removeprefix(mark).decode(codec)
+    except (LookupError, UnicodeError):
+        raise ValueError(f"{path}: its text cannot be changed in place: it is not {codec}") from None
     parts, end, number = [], 0, 0
     for match in _MARKUP.finditer(text):
         if match["tag"] is None:
@@ -41,8 +47,8 @@ def with_attributes(path: Path, data: bytes, edits: dict[int, dict[str, str]]) -
             end = match.end("attributes")
         number += 1
     # What the file's encoding does not hold is written as a reference to the character.
-    edited = "".join([*parts, text[end:]]).encode(codec, "xmlcharrefreplace")
-    if text.encode(codec) != data or not _differs_only_by(path, data, edited, edits):
+    edited = mark + "".join([*parts, text[end:]]).encode(codec, "xmlcharrefreplace")
+    if mark + text.encode(codec) != data or not _differs_only_by(path, data, edited, edits):
         raise ValueError(f"{path}: its text cannot be changed in place")
     return edited
 
@@ -69,8 +75,11 @@ def _quoted(value: str, quote: str) -> str:
 
 
 def _codec(data: bytes) -> str:
-    """The encoding of an XML document; a byte order mark stays a character of the text."""
-    for mark, codec in ((b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be"), (b"\xef\xbb\xbf", "utf-8")):
+    """The encoding of an XML document, as the parser takes it: what a document declares goes before a UTF-8 mark.
+
+    The mark of UTF-16 stays a character of the text.
+    """
+    for mark, codec in ((b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be")):
         if data.startswith(mark):
             return codec
     declared = _DECLARED_ENCODING.match(data)
