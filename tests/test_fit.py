@@ -359,6 +359,7 @@ WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "infinite weight": ({"weight": np.full((48, 48), 1e80)}, {}, "View[0].weight: the root of a weight is more than 3.4e+38, the largest of float32"),
     "endless noise": ({"noise": 1e30}, {}, "View[0].noise: every weight 1 / noise^2 is less than 1.2e-38, the smallest of float32"),
     "empty mask": ({"mask": np.zeros((48, 48))}, {}, "View[0]: mask, weight and coverage leave no point to fit"),
+    "no sample": ({"samples": SampleBuffer.create(*np.zeros((2, 0, 3)), (0, 0, 4)), "target": np.ones((0, 3))}, {}, "View[0]: mask, weight and coverage leave no point to fit"),
     "weight": ({"weight": -np.ones((48, 48))}, {}, "View[0].weight: every weight must be finite and >= 0"),
     "noise": ({"noise": 0.0}, {}, "View[0].noise: expected a standard deviation, finite and > 0, got 0.0"),
     "a noise of 0": ({"noise": 1.0 - (np.arange(1804) == 7)}, {}, "View[0].noise: every standard deviation must be finite and > 0; 1 of the used points are not (first: row"),

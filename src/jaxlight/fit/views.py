@@ -322,7 +322,7 @@ class _Layout:
         tails = ((), (1,)) if grey else ((), (1,), (3,))
         for shape in shapes:
             if array.shape in [(*shape, *tail) for tail in tails]:
-                rows = array.reshape(int(np.prod(shape)), -1)
+                rows = array.reshape(int(np.prod(shape)), int(np.prod(array.shape[len(shape) :])))
                 return rows[self.image_index] if len(shape) == 2 and self.image_index is not None else rows
         told = ((), (3,)) if field in ("weight", "noise") else ((),) if grey else ((3,),)
         allowed = "shape " + " or ".join(str([*shape, *tail]) for tail in told for shape in shapes)
