@@ -81,6 +81,10 @@ BAD_WORDS = {
     "missing option": (("render", "scene.x3d"), "--output"),
     "unknown option": (("render", "scene.x3d", "--output", "a.png", "--wdth", "3"), "Perhaps you meant: --width"),
     "not a number": (("render", "scene.x3d", "--output", "a.png", "--width", "abc"), "'abc'"),
+    "not a whole number": (
+        ("render", "scene.x3d", "--output", "a.png", "--height", "1.5"),
+        "error: --height: expected a whole number, got '1.5'",
+    ),
     "not a choice": (("render", "scene.x3d", "--output", "a.png", "--encode", "gamma"), "'srgb'"),
     "width 0": (("render", "scene.x3d", "--output", "a.png", "--width", "0"), "width"),
     "samples 0": (("render", "scene.x3d", "--output", "a.png", "--samples", "0"), "samples"),

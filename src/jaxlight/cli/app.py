@@ -26,6 +26,7 @@ COMMANDS = {"info": Info, "render": Render, "fit": Fit, "gradcheck": Gradcheck, 
 _MISREAD = {
     r"invalid literal for int\(\) with base 10: ('.*')": "a whole number",
     r"could not convert string to float: ('.*')": "a number",
+    r"no type matching \{None\}\|INT could be instantiated from \[('.*')\]": "a whole number",
     r"no type matching \{None\}\|FLOAT could be instantiated from \[('.*')\]": "a number",
 }
 """What Python and tyro say of words that are no numbers, and what they expected."""
