@@ -40,6 +40,10 @@ BAD: dict[str, tuple[list[str], str]] = {
         ["--start", "Material[body].shininess=0.1", "Material[body].shininess=0.2"],
         "--start: Material[body].shininess is given twice",
     ),
+    "a start beyond the type": (
+        ["--start", "PointLight[key].location=0 -1e39 0"],
+        "--start: PointLight[key].location: -1e+39 is larger than 3.4e+38, the most that the type holds",
+    ),
     "a scene that is none": ([], "bad.x3d:5: "),
 }
 

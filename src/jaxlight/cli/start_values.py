@@ -43,11 +43,12 @@ def with_start_values(scene: Scene, path: str, given: Numbers) -> Scene:
     """The scene with the numbers that a path means set: one for all, or one a component.
 
     Raises:
-        ValueError: no such field, the wrong count, or out of the field's range.
+        ValueError: no such field, the wrong count, or out of the range of the field or of its type.
     """
     import jax.numpy as jnp
     import numpy as np
 
+    from jaxlight.scene.fields import largest_of
     from jaxlight.scene.paths import select
 
     values = np.atleast_1d(np.asarray(given, dtype=np.float64))
@@ -63,6 +64,10 @@ def with_start_values(scene: Scene, path: str, given: Numbers) -> Scene:
         if not np.all(np.isfinite(values)) or np.any(low | (values > allowed.upper)):
             came = " ".join(f"{value:g}" for value in values.tolist())
             raise ValueError(f"expected numbers in {allowed}, got {came}")
+        largest = largest_of(numbers.dtype)
+        if np.any(np.abs(values) > largest):
+            came = values[np.argmax(np.abs(values))]
+            raise ValueError(f"{came:g} is larger than {largest:.3g}, the most that the type holds")
         numbers[mask] = np.tile(values, count // len(values))
         scene = leaf.set(scene, jnp.asarray(numbers))
     return scene
