@@ -146,12 +146,13 @@ def test_whole_numbers_are_vectors() -> None:
     np.testing.assert_allclose(np.asarray(found.normal)[0], 3 * CAMERA.rotation[:, 2], atol=1e-12)
 
 
+@pytest.mark.filterwarnings("error")
 def test_without_a_mask_what_is_not_finite_or_zero_is_left_out() -> None:
     normal = np.tile([0.0, 0, 1], (4, 5, 1))
-    normal[0, 0], normal[1, 1, 2], depth = 0, np.nan, np.ones((4, 5))
+    normal[0, 0], normal[1, 1, 2], normal[1, 2], depth = 0, np.nan, (np.inf, 0, -np.inf), np.ones((4, 5))
     depth[2, 2], depth[3, 3], depth[3, 4] = np.inf, 0, -1
     found = samples_from_maps(normal, CAMERA, depth=depth)
-    assert set(range(20)) - set(np.asarray(found.pixel).tolist()) == {0, 6, 12, 18, 19}
+    assert set(range(20)) - set(np.asarray(found.pixel).tolist()) == {0, 6, 7, 12, 18, 19}
 
 
 @pytest.mark.parametrize("background", [(0, 0, 0, 255), (127, 127, 127, 255), (128, 128, 128, 255), (128, 128, 255, 0)])

@@ -4,12 +4,13 @@ test_primitives.py.)"""
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from counted_work import at_most_calls
-from jaxlight import nodes
+from jaxlight import load, nodes, rasterize
 from jaxlight.raster import Triangles, geometry_of
 from jaxlight.scene.polygons import MAX_CONCAVE_CORNERS
 
@@ -417,3 +418,11 @@ def test_faces_without_area_are_dropped() -> None:
 def test_bad_indices_name_the_shape_and_the_field(geometry: nodes.Node, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         triangles_of(geometry, "wall")
+
+
+@pytest.mark.filterwarnings("error")
+def test_faces_that_are_too_large_are_named_without_a_warning_before(tmp_path: Path) -> None:
+    text = "v 0 0 0\nv 1e200 0 0\nv 1e200 1e200 0\nv 5e199 1e199 0\nf 1 2 3 4\n"
+    (tmp_path / "a.obj").write_text(text)
+    with pytest.raises(ValueError, match=r"lies up to 1e\+200 from the origin"):
+        rasterize(load(tmp_path / "a.obj"), None, 8, 8)

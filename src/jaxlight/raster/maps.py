@@ -121,7 +121,8 @@ def samples_from_maps(
     if normal_y_down:
         vectors = vectors * [1.0, -1.0, 1.0]
     if normal_frame == "camera":
-        vectors = vectors @ view.rotation.T
+        with np.errstate(invalid="ignore"):  # of infinite components, where there is no surface
+            vectors = vectors @ view.rotation.T
     points = _points(view, position, depth, position_frame, depth_kind, height, width)
 
     finite = np.all(np.isfinite(vectors), axis=2) & np.all(np.isfinite(points), axis=2)

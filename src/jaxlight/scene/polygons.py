@@ -65,6 +65,7 @@ class Faces:
         return preceding
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of coordinates that are too large, which is said where they are drawn
 def face_normals(faces: Faces, points: np.ndarray) -> np.ndarray:
     """[F, 3], twice the vector area of each face by Newell's sum, counterclockwise in front; points: [C, 3]."""
     relative = points - points[np.repeat(faces.start, faces.count)] if len(points) else points
@@ -114,6 +115,7 @@ def _have_flat_fans(faces: Faces, points: np.ndarray) -> np.ndarray:
     return np.linalg.norm(face_normals(faces, points), axis=1) > SLIVER * longest**2
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _turned(faces: Faces, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     repeated = np.all(points == points[faces.preceding], axis=1)  # there is no turn at either of two equal corners
     faces, points = faces.without(repeated), points[~repeated]
