@@ -12,7 +12,7 @@ import pytest
 
 from colored_bodies import colored_bodies
 from counted_work import programs_of
-from fit_scenes import precision
+from fit_scenes import precision, sphere_scene
 from jaxlight import SampleBuffer, Scene, compiler_options, nodes, shade, sum_over_samples
 from jaxlight.lighting.totals import add_terms, added_up
 from leaves import assert_leaves_close
@@ -110,6 +110,20 @@ def test_padding_is_no_pair_that_the_function_never_sees(mixed: bool) -> None:
     wanted = jax.grad(lambda free: jnp.sum(distance(shade(eqx.combine(free, fixed), samples).T, target)))(free)
     assert float(wanted.directional.intensity[0]) > 50
     assert_leaves_close(ours, wanted, 1e-5)
+
+
+def test_the_sum_alone_has_the_digits_of_that_with_a_gradient() -> None:
+    """A line search compares the two; of equal samples the roundings of a running sum all go one way."""
+    scene = sphere_scene()
+    position, normal = (np.broadcast_to(row, (1 << 18, 3)) for row in ((0.1, 0.2, 0.9), (0.0, 0.6, 0.8)))
+    samples = SampleBuffer.create(position, normal, [0, 0, 5])
+
+    def red(scene: Scene) -> jax.Array:
+        return sum_over_samples(lambda color: color[0], scene, samples)
+
+    alone, (beside, _) = red(scene), jax.value_and_grad(red)(scene)
+    exact = float(shade(scene, samples)[0, 0]) * (1 << 18)
+    np.testing.assert_allclose([alone, beside], exact, rtol=1e-6)
 
 
 def test_derivatives_by_samples_and_textures_are_those_of_the_whole_image() -> None:

@@ -35,7 +35,7 @@ from .shade import checked, shade_planes
 from .stages import Stage
 from .tile_inputs import tile_of
 from .tiles import surface_runs, tiles_at_once
-from .totals import add_terms, added_up, summed_on_lanes
+from .totals import add_terms, added_up, summed_in_rounds, summed_on_lanes
 from .unstored import Inlined
 
 
@@ -114,7 +114,7 @@ def _whole(
     parts = [plane.reshape(*plane.shape[:-1], -1, count) for plane in (colors, *planes)]
     values = jax.vmap(lambda *own: function(*own, *numbers), in_axes=-2, out_axes=-2)(*parts)
     values = values.reshape(*values.shape[:-2], samples.slots)
-    return jnp.sum(summed_on_lanes(_terms(values, samples.is_sample, colors.dtype))).astype(colors.dtype)
+    return summed_in_rounds(_terms(values, samples.is_sample, colors.dtype)).astype(colors.dtype)
 
 
 def _terms(values: Float[Array, "... samples"], is_sample: Array | None, dtype: Any) -> Array:

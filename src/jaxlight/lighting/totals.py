@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from .at_once import at_once
 from .prepared import LANES
 
+_IN_A_ROUND = 8
 Carry = Any
 """Running sums and their rounding errors, two tuples of arrays."""
 
@@ -41,8 +42,22 @@ def added_up(carry: Carry) -> tuple[Array, ...]:
 def summed_on_lanes(values: Float[Array, "..."]) -> Float[Array, " lanes"]:
     """The sum of all values, in parts to be added up by the caller: the processor adds up lanes at once, but one number
     only term by term."""
+    return jnp.sum(_on_lanes(values), axis=0)
+
+
+def summed_in_rounds(values: Float[Array, "..."]) -> Float[Array, ""]:
+    """The sum of all values, of however many: few are added one after the other, so that few roundings add up."""
+    rows = _on_lanes(values)
+    while rows.shape[0] > 1:
+        rows = jnp.pad(rows, ((0, -rows.shape[0] % _IN_A_ROUND), (0, 0)))
+        # Behind a barrier, or XLA makes one sum of all rounds.
+        rows = lax.optimization_barrier(jnp.sum(rows.reshape(-1, _IN_A_ROUND, LANES), axis=1))
+    return jnp.sum(rows)
+
+
+def _on_lanes(values: Float[Array, "..."]) -> Float[Array, "rows lanes"]:
     flat = values.reshape(-1)
-    return jnp.sum(jnp.pad(flat, (0, -flat.size % LANES)).reshape(-1, LANES), axis=0)
+    return jnp.pad(flat, (0, -flat.size % LANES)).reshape(-1, LANES)
 
 
 def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:
