@@ -96,9 +96,3 @@ def test_curvature_of_squared_derivatives(lights: list[nodes.Node], count: int, 
         forward_over_reverse = along(jax.grad(squared_change))
         differences = [(after - before) / 2e-6 for after, before in zip(at(1e-6), at(-1e-6), strict=True)]
         assert_leaves_close(forward_over_reverse, differences, 1e-6)
-        reverse_over_reverse = jax.jit(jax.grad(lambda own: _dot(jax.grad(squared_change)(own), outer)))(numbers)
-        assert_leaves_close(reverse_over_reverse, forward_over_reverse, 1e-10)
-
-
-def _dot(one: Any, other: Any) -> jax.Array:
-    return sum(map(jnp.vdot, jax.tree.leaves(one), jax.tree.leaves(other)), jnp.zeros(()))

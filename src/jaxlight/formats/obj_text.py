@@ -60,8 +60,8 @@ def checked_obj(path: Path, data: bytes, notes: ReadNotes) -> ObjText:
     """Vertices, materials and faces of an OBJ file, one statement a line, the faces in order of their materials.
 
     Where some faces of a material have texture coordinates, the others get 0 0; normals that not all of them have are
-    left out. Both are noted, and smoothing groups of faces without normals. Concave faces, and
-    those with corners on a line, are cut into triangles. All material files stand in one, `LIBRARY`.
+    left out. Both are noted, and smoothing groups of faces without normals. Concave faces, and those with corners on a
+    line, are cut into triangles. All material files stand in one, `LIBRARY`.
 
     Raises:
         SceneFileError: a face has less than three corners, or an index that is no number, 0, or out of range; a vertex,

@@ -22,6 +22,7 @@ def are_flat(triangles: np.ndarray, most: float = FLAT) -> np.ndarray:
     return ~(np.linalg.norm(areas, axis=1) > most * longest**2)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of coordinates that are too large, which is said where they are drawn
 def doubled_areas(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Twice the vector areas [T, 3] and the longest edges [T] of triangles [T, 3 corners, 3]."""
     edges = triangles[:, [1, 2, 0]] - triangles

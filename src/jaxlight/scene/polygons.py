@@ -94,6 +94,7 @@ def are_no_fans(faces: Faces, points: np.ndarray) -> np.ndarray:
     return _turned(faces, points, face_normals(faces, points)) | _have_flat_fans(faces, points)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _have_flat_fans(faces: Faces, points: np.ndarray) -> np.ndarray:
     """[F], True where three corners on a line make a triangle of the fan around the first corner of a face with area.
 
@@ -153,6 +154,7 @@ def _split_convex(faces: Faces, points: np.ndarray, chosen: np.ndarray, most_squ
     return np.concatenate([plain, fans, *_split_by_ears(faces, points, normals, by_ears)])
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _fans_around_others(
     faces: Faces, points: np.ndarray, normals: np.ndarray, chosen: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
