@@ -63,6 +63,15 @@ def shown(scene: Scene) -> Any:
     return [scene.materials.shininess, *(lights.location for lights in (scene.point, scene.spot) if lights is not None)]
 
 
+def squared_change(scene: Scene, samples: SampleBuffer, inner: Any) -> Callable[[Any], jax.Array]:
+    """Of colours along a direction, as a function of what is shown."""
+
+    def colors(numbers: Any) -> jax.Array:
+        return shade(eqx.tree_at(shown, scene, numbers), samples)[:, :3]
+
+    return lambda numbers: jnp.sum(jax.jvp(colors, (numbers,), (inner,))[1] ** 2)
+
+
 @pytest.mark.parametrize(
     ("lights", "count", "around"),
     [
@@ -72,27 +81,29 @@ def shown(scene: Scene) -> Any:
         pytest.param(LAMPS, 250, once, id="lights of all kinds", marks=pytest.mark.thorough),
     ],
 )
-def test_curvature_of_squared_derivatives(lights: list[nodes.Node], count: int, around: Any) -> None:
+def test_curvature_is_that_of_differences(lights: list[nodes.Node], count: int, around: Any) -> None:
     with precision("float64"):
-        scene, samples = ball(lights), half_sphere(count)
+        scene = ball(lights)
         numbers = shown(scene)
         inner, outer = random_direction(numbers, 1), random_direction(numbers, 2)
-
-        def colors(numbers: Any) -> jax.Array:
-            return shade(eqx.tree_at(shown, scene, numbers), samples)[:, :3]
-
-        @around
-        def squared_change(numbers: Any) -> jax.Array:
-            return jnp.sum(jax.jvp(colors, (numbers,), (inner,))[1] ** 2)
-
-        slope = jax.jit(jax.grad(squared_change))
+        slope = jax.jit(jax.grad(around(squared_change(scene, half_sphere(count), inner))))
 
         def at(step: float) -> Any:
             return slope([number + step * change for number, change in zip(numbers, outer, strict=True)])
 
-        def along(function: Callable[[Any], Any]) -> Any:
-            return jax.jit(lambda numbers: jax.jvp(function, (numbers,), (outer,))[1])(numbers)
-
-        forward_over_reverse = along(jax.grad(squared_change))
+        curvature = jax.jit(lambda numbers: jax.jvp(slope, (numbers,), (outer,))[1])(numbers)
         differences = [(after - before) / 2e-6 for after, before in zip(at(1e-6), at(-1e-6), strict=True)]
-        assert_leaves_close(forward_over_reverse, differences, 1e-6)
+        assert_leaves_close(curvature, differences, 1e-6)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("around", [once, in_a_loop])
+def test_curvature_is_the_same_in_every_order_of_modes(around: Any) -> None:
+    with precision("float64"):
+        scene = ball(LAMPS[:1])
+        numbers = shown(scene)
+        function = around(squared_change(scene, half_sphere(250), random_direction(numbers, 1)))
+        forward, reverse = jax.jacfwd, jax.jacrev
+        wanted = jax.jit(forward(forward(function)))(numbers)
+        for outer, inner in ((forward, reverse), (reverse, forward), (reverse, reverse)):
+            assert_leaves_close(jax.jit(outer(inner(function)))(numbers), wanted, 1e-10)
