@@ -301,6 +301,12 @@ def textured(header: dict, use: object) -> None:
         ),
         (lambda h: h["asset"].update(minVersion="3.0"), "needs a reader of glTF 3.0; jaxlight reads 2.0"),
         (lambda h: h.update(scene=3), "header has 3 of the file's 1 scenes"),
+        (lambda h: h.pop("scenes"), "glTF without scenes: nothing says which of its nodes are shown"),
+        (lambda h: h.update(scenes=[]), "glTF without scenes: nothing says which of its nodes are shown"),
+        (
+            lambda h: h["nodes"][-1].update(matrix=[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 2]),
+            "has a matrix of last row [0.0, 0.0, 0.0, 2.0], expected [0, 0, 0, 1]",
+        ),
         (lambda h: textured(h, {"index": "0"}), "material 0 has '0' of the file's 1 textures"),
         (
             lambda h: textured(h, {}),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxlight import SceneFileError, load
+from jaxlight import SceneFileError, SceneFileWarning, load
 from jaxlight.formats import read_nodes
 from jaxlight.formats import x3d_values as values
 from jaxlight.formats.folder import ResourceFolder
@@ -200,12 +200,18 @@ def test_a_url_that_no_file_can_have_is_not_looked_for(tmp_path: Path, monkeypat
     assert folder.place("a/../" * 100_000 + "x.png") is None and folder.place("x.png") == tmp_path / "x.png"
 
 
-@pytest.mark.parametrize("text", ["<html/>", "<X3D/>", "<X3D><Group/></X3D>"])
+@pytest.mark.parametrize("text", ["<html/>", "<X3D/>", "<X3D><Group/></X3D>", "<X3D><Scene/>\n<Scene/></X3D>"])
 def test_other_documents_are_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "scene.x3d"
     path.write_text(text)
-    with pytest.raises(SceneFileError, match=r"root element|no <Scene>|HTML page"):
+    with pytest.raises(SceneFileError, match=r"root element|no <Scene>|HTML page|:2: a second <Scene>, expected one"):
         load(path)
+
+
+def test_what_stands_beside_the_scene_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.x3d").write_text("<X3D><head/><Scene><Group/></Scene><Shape/></X3D>")
+    with pytest.warns(SceneFileWarning, match=r"skipped 1 .*: Shape"):
+        load(tmp_path / "a.x3d")
 
 
 def nested(depth: int) -> str:

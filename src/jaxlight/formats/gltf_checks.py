@@ -81,8 +81,9 @@ def check_header(path: Path, header: dict[str, Any], size: int, held: int, notes
     _check_parents(path, header.get("nodes", []))
     for row, scene in enumerate(header.get("scenes", [])):
         check_rows(path, f"scene {row}", scene.get("nodes", []), header, "nodes")
-    if "scenes" in header:
-        check_rows(path, "header", [header.get("scene", 0)], header, "scenes")
+    if not header.get("scenes"):
+        raise SceneFileError(path, None, "glTF without scenes: nothing says which of its nodes are shown")
+    check_rows(path, "header", [header.get("scene", 0)], header, "scenes")
     _mend_materials(header, notes)
     _note_others(header, notes)
 
@@ -224,12 +225,15 @@ def _check_node(path: Path, header: dict[str, Any], row: int, node: dict[str, An
     check_rows(path, f"node {row}", node.get("children", []), header, "nodes")
     if any(node.get("weights", ())):
         notes.unused["glTF weights of morph targets (read as 0)"] += 1
-    linear = np.diag(np.asarray(node.get("scale", (1, 1, 1)), dtype=np.float64))
+    matrix = np.diag([*node.get("scale", (1, 1, 1)), 1]).astype(np.float64)
     if "matrix" in node:
-        linear = np.asarray(node["matrix"], dtype=np.float64).reshape(4, 4)[:3, :3]
-    if np.linalg.matrix_rank(linear) < 3:
+        matrix = np.asarray(node["matrix"], dtype=np.float64).reshape(4, 4).T
+    if np.linalg.matrix_rank(matrix[:3, :3]) < 3:
         notes.simplified["glTF node scaled to nothing, left out with its children"] += 1
         header["nodes"][row] = {}
+    elif not np.allclose(matrix[3], (0, 0, 0, 1), rtol=0, atol=ROUNDED):
+        message = f"glTF node {row} has a matrix of last row {matrix[3].tolist()}, expected [0, 0, 0, 1]"
+        raise SceneFileError(path, None, message)
 
 
 def _check_parents(path: Path, nodes: list[dict[str, Any]]) -> None:

@@ -51,13 +51,16 @@ def read_x3d(path: Path, data: bytes) -> tuple[tuple[nodes.Node, ...], ReadNotes
     root = parse_xml(path, data)
     if root.tag != "X3D":
         raise SceneFileError(path, root.line, f"the root element is <{root.tag}>, expected <X3D>")
-    scene = next((child for child in root.children if child.tag == "Scene"), None)
-    if scene is None:
+    scenes = [child for child in root.children if child.tag == "Scene"]
+    if not scenes:
         raise SceneFileError(path, root.line, "<X3D> holds no <Scene>")
+    if len(scenes) > 1:
+        raise SceneFileError(path, scenes[1].line, "a second <Scene>, expected one")
     reader = _Reader(path, _version(root.attributes.get("version", "")), _unit(path, root, "angle"))
     if _unit(path, root, "length") != 1.0:
         reader.notes.unused["unit of length (numbers stay as they are)"] += 1
-    children = reader.read_all(scene)
+    reader.notes.skipped.update(child.tag for child in root.children if child.tag not in ("head", "Scene"))
+    children = reader.read_all(scenes[0])
     place = path.parent.resolve() / path.name  # a link stays one: what the scene names lies beside the link
     source = X3DSource(place, data, reader.element_numbers, reader.texture_files, reader.angle_unit)
     return children, reader.notes, source

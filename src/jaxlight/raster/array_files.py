@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tokenize
+import warnings
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -37,7 +38,8 @@ def read_array_file(where: str, what: str, path: Path, fits: Fits) -> np.ndarray
     try:
         if not path.is_file():
             raise ValueError(what_it_is(path))
-        with path.open("rb") as file:
+        with path.open("rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # NumPy's own word on files of Python 2, which are read all the same
             return _stored(what, file, fits)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
