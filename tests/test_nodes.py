@@ -15,7 +15,7 @@ BLUES = [(0, 0, 1), (0, 0, 0.5), (0, 0, 0)]
 POINTS = r"expected finite numbers of shape \[n, 3\]"
 
 
-@pytest.mark.parametrize(("children", "came"), [(None, "NoneType"), (3, "int")])
+@pytest.mark.parametrize(("children", "came"), [(None, "None"), (3, "3"), ("a.x3d", "'a.x3d'")])
 def test_a_scene_is_made_of_nodes(children: Any, came: str) -> None:
     with pytest.raises(ValueError, match=f"Scene.from_nodes: expected a node or a list of nodes, got {came}"):
         Scene.from_nodes(children)

@@ -92,7 +92,7 @@ def test_derivatives_by_rows_are_those_by_planes(by_place: bool) -> None:
         ({"color": np.zeros((COUNT, 4))}, r"color: expected shape \[5000, 3\], got \[5000, 4\]"),
         ({"normal": [[1, 2, 3], [1, 2]]}, r"normal: expected real numbers, got \[\[1, 2, 3\], \[1, 2\]\]"),
         ({"color": np.full((COUNT, 3), 2)}, "color: got int64 above 1; divide by the largest level"),
-        ({"normal": np.full((COUNT, 3), 1j)}, "normal: expected real numbers, got array"),
+        ({"normal": np.full((COUNT, 3), 1j)}, "normal: expected real numbers, got complex64"),
     ],
 )
 def test_rows_of_another_shape_are_refused(own: dict[str, np.ndarray], message: str) -> None:

@@ -90,3 +90,15 @@ def test_a_tiff_whose_strips_do_not_cover_it_is_not_read_as_black(tmp_path: Path
     change_tag(tmp_path / "b.tif", 257, 900_000)
     with pytest.raises(SceneFileError, match=message):
         read_levels(tmp_path / "b.tif")
+
+
+def test_a_damaged_tiff_of_16_bits_is_told_in_words(tmp_path: Path) -> None:
+    """Of what is compressed by zip OpenImageIO gives no reason."""
+    write_tiff(tmp_path / "a.tif", np.full((16, 16, 3), 300, np.uint16), 0, compression="zip")
+    with Image.open(tmp_path / "a.tif") as image:
+        (strip, *_) = image.tag_v2[273]
+    data = bytearray((tmp_path / "a.tif").read_bytes())
+    data[strip : strip + 8] = bytes(8)
+    (tmp_path / "a.tif").write_bytes(data)
+    with pytest.raises(SceneFileError, match=r"damaged image: \S"):
+        read_image(tmp_path / "a.tif")

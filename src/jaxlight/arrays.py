@@ -48,6 +48,10 @@ def known_numbers(where: str, value: Any, allowed: str = "real numbers", *, inst
             array = array.astype(np.float32)  # bfloat16, of which NumPy knows nothing
         if array.dtype.kind not in "biuf":
             raise TypeError
+        # In a type that JAX knows, too: of this machine's order of bytes, and of at most 64 bits.
+        own = np.float64 if array.dtype == np.longdouble else array.dtype.newbyteorder("=")
+        with np.errstate(over="ignore"):
+            array = array.astype(own, copy=False)
     except (TypeError, ValueError, OverflowError):
         refuse_traced(where, value)
         raise ValueError(f"{where}: expected {allowed}, got {' '.join(repr(value).split()):.60}") from None
@@ -65,10 +69,11 @@ def _as_given(value: Any) -> np.ndarray:
 def real_array(where: str, value: Any) -> Array:
     """Real numbers that somebody gives, traced or not; raises ValueError that names what they are."""
     refuse_masked(where, value)
-    try:
-        array = jnp.asarray(value)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{where}: expected real numbers, got {value!r:.60}") from None
+    with np.errstate(over="ignore"):
+        try:
+            array = jnp.asarray(value)
+        except (TypeError, ValueError, OverflowError):
+            array = jnp.asarray(known_numbers(where, value, "real numbers"))
     if jnp.iscomplexobj(array):
         raise ValueError(f"{where}: expected real numbers, got {array.dtype}")
     return array

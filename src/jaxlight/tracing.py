@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, ValuesView
 from typing import Any
 
 import jax
@@ -34,4 +35,5 @@ _CALL_OUTSIDE = "call it outside of jax.jit, jax.grad, jax.vmap and their like"
 
 
 def _holds_tracers(arguments: Any) -> bool:
-    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(arguments))
+    leaves = jax.tree.leaves(arguments, is_leaf=lambda node: isinstance(node, Iterator | ValuesView))  # or JAX warns
+    return any(isinstance(leaf, Tracer) for leaf in leaves)

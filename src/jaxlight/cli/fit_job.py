@@ -79,7 +79,7 @@ class FitJob:
         method = _method(problem)
         frees = [dataclasses.asdict(one) for one in problem.frees]
         with Interrupts() as interrupts:
-            with blamed_by_name(source, [view.name for view in views], problem.frees):
+            with blamed_by_name(source, [view.name for view in views]):
                 result = fit(
                     scene,
                     views,

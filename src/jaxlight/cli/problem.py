@@ -170,19 +170,22 @@ def blamed_on(source: Source, *key: str | int) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def blamed_by_name(source: Source, views: Sequence[str], free: Sequence[FreeProblem]) -> Iterator[None]:
+def blamed_by_name(source: Source, views: Sequence[str]) -> Iterator[None]:
     """Errors of the block that begin with what they are about, as those of `fit` do, are about its entry.
 
     Args:
         source: of the entries.
         views: names of the views: of a view it is `View[name].field`.
-        free: of a setting it is its name, of a free field its path.
     """
     try:
         yield
     except ValueError as error:
+        from jaxlight.fit.free import RequestError
+
         text = str(error)
         name, _, message = text.partition(": ")
+        if isinstance(error, RequestError):
+            raise source.error(("free", error.place), message if name == "free" else text) from None
         if name in ("free", *(field.name for field in dataclasses.fields(FitSettings))):
             raise source.error((name,), message) from None
         number = re.fullmatch(r"views\[(\d+)\]\.(\w+)", name)
@@ -194,12 +197,7 @@ def blamed_by_name(source: Source, views: Sequence[str], free: Sequence[FreeProb
         told = field in OF_ALL_VIEWS or not isinstance(source, CommandLine)
         if of_view and of_view[1] in views and known and told:
             raise source.error(("views", views.index(of_view[1]), *field), message) from None
-        rows = [
-            row
-            for row, one in enumerate(free)
-            if any(text.startswith((f"there is no field {p!r};", *(p + end for end in ": .["))) for p in one.paths)
-        ]
-        raise source.error(("free", rows[0]) if rows else (), text) from None
+        raise source.error((), text) from None
 
 
 def input_files(problem: Any) -> list[Path]:

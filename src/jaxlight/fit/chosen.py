@@ -5,11 +5,12 @@ from __future__ import annotations
 import difflib
 import fnmatch
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..given import several
 from ..scene import paths
 from ..scene.ranges import POSITIVE, Range
 from ..scene.scene import Scene
@@ -79,7 +80,7 @@ def choose(
     catalogue: Catalogue, where: Any, view_names: Sequence[str], *, blocks: bool
 ) -> tuple[list[Chosen], list[paths.Leaf]]:
     """The numbers that the paths mean, in the order of the scene's fields, and the textures that are meant whole."""
-    each = list(where) if isinstance(where, Iterable) and not isinstance(where, str) else [where]
+    each = several(where)
     for path in each:
         if not (isinstance(path, str) or callable(path)):
             raise ValueError(f"free: expected a field path or a function of the scene, got {path!r:.80}")

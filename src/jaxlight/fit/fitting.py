@@ -18,7 +18,7 @@ import numpy as np
 from ..formats.limits import as_path
 from ..lighting import LightingOptions
 from ..promotion import usual_promotion
-from ..scene.fields import reach, whole
+from ..scene.fields import boolean, reach, string, whole
 from ..scene.scene import Scene
 from ..tracing import refuse_inside
 from .checkpoint import Checkpoint, CheckpointWarning
@@ -32,7 +32,7 @@ from .record import Record
 from .residuals import LossKind
 from .run import FitState, advance, begin, carried_on, make_solver
 from .solver import BoundedLevenbergMarquardt
-from .starts import explore, random_starts
+from .starts import MAX_STARTS, explore, random_starts
 from .steps import Step, describe_step
 from .steps import rms as step_rms
 from .uncertainty import Uncertainty, nothing_known, uncertainty
@@ -97,7 +97,7 @@ class Fit:
         Raises:
             ValueError: the field was not free.
         """
-        path = canonical(self.scene, self.description.view_names, path)
+        path = canonical(self.scene, self.description.view_names, string("path", path))
         for field in self.description.fields:
             if field.path == path:
                 return self.values[field.numbers].reshape(-1 if len(field.numbers) > 1 else ())
@@ -165,8 +165,9 @@ def fit(
         options: readings of the specification, as for `shade`.
         max_steps: steps to try at most; reaching it is never reported as success.
         rtol, atol: relative and absolute tolerance of the parameters (default: what the precision can reach).
-        starts: more than 1: begin from so many places, the given one and random places, directions and cones of lights,
-            exponents of highlights and ranges of fog, where free, a few steps each, and carry on from the lowest.
+        starts: more than 1, up to 100 000: begin from so many places, the given one and random places, directions and
+            cones of lights, exponents of highlights and ranges of fog, where free, a few steps each, and carry on from
+            the lowest.
         seed: of the random starts; a run that is resumed has the same as before.
         method: an optimistix minimiser (`optimistix.LBFGS(1e-6, 1e-6)`, `optimistix.OptaxMinimiser(optax.adam(0.01),
             1e-6, 1e-6)`) instead of the bounded Levenberg-Marquardt; it has tolerances of its own, shows no
@@ -190,10 +191,11 @@ def fit(
             `jax.jit` or another transformation (`fitted_values` is for those).
     """
     refuse_inside("fit")
-    whole("starts", starts, at_least=1)
-    whole("max_steps", max_steps, at_least=1)
-    whole("seed", seed, at_least=0)
-    reach("checkpoint_seconds", checkpoint_seconds)
+    starts = whole("starts", starts, at_least=1, at_most=MAX_STARTS)
+    max_steps = whole("max_steps", max_steps, at_least=1)
+    seed = whole("seed", seed, at_least=0)
+    checkpoint_seconds = reach("checkpoint_seconds", checkpoint_seconds)
+    resume, overwrite = boolean("resume", resume), boolean("overwrite", overwrite)
     log = None if log is None else as_path("log", log)
     checkpoint = None if checkpoint is None else as_path("checkpoint", checkpoint)
     if log is not None and log == checkpoint:

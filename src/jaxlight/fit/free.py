@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from ..arrays import array_of, refuse_masked
+from ..arrays import array_of, known_numbers, refuse_masked
+from ..given import plain, several
 from ..scene import paths
 from ..scene.fields import largest_of, number
 from ..scene.paths import Path
@@ -62,29 +64,45 @@ def free_parameters(
     if not requests:
         raise ValueError("free: no field is free; name at least one, such as 'Material[0].diffuse_color'")
     catalogue = Catalogue(world)
-    numbers = _Numbers()
-    whole: list[tuple[Free, paths.Leaf]] = []
-    for place, request in enumerate(requests):
-        chosen, textures = choose(catalogue, request.where, view_names, blocks=blocks and not request.tied)
-        whole += [(request, leaf) for leaf in textures]
-        if request.tied:
-            chosen = _as_named(catalogue, request, chosen, view_names)
-        if chosen:
-            _check_options(request, chosen)
-            _add_numbers(numbers, catalogue, request, chosen, place)
+    numbers = _Numbers(dtype)
+    whole: list[tuple[int, Free, paths.Leaf]] = []
+    for place, given in enumerate(requests):
+        with _about(place):
+            request = _checked(given)
+            chosen, textures = choose(catalogue, request.where, view_names, blocks=blocks and not request.tied)
+            whole += [(place, request, leaf) for leaf in textures]
+            if request.tied:
+                chosen = _as_named(catalogue, request, chosen, view_names)
+            if chosen:
+                _check_options(request, chosen)
+                _add_numbers(numbers, catalogue, request, chosen, place)
     columns, made = numbers.columns(), []
-    for request, leaf in whole:
-        if numbers.has(leaf) or any(block.texture == leaf.row for block in made):
-            raise ValueError(f"free: Texture[{leaf.row}].image is named twice")
-        block, own = _texel_block(world, request, leaf, len(columns[0]), dtype)
+    for place, request, leaf in whole:
+        with _about(place):
+            if numbers.has(leaf) or any(block.texture == leaf.row for block in made):
+                raise ValueError(f"free: Texture[{leaf.row}].image is named twice")
+            block, own = _texel_block(world, request, leaf, len(columns[0]), dtype)
         made.append(block)
         columns = [np.concatenate(pair) for pair in zip(columns, own, strict=True)]
-    if np.any(columns[-1] > largest_of(dtype)):
-        raise ValueError(
-            f"free: a prior's deviation is too small: 1 / deviation^2 is more than {np.dtype(dtype)} holds"
-        )
     arrays = (array_of(column, dtype) for column in columns)
     return Parameters(*arrays, leaves=numbers.leaves(catalogue, world), blocks=tuple(made)), numbers.fields()
+
+
+class RequestError(ValueError):
+    """What is wrong with one of the requests of a fit, by its place among them."""
+
+    def __init__(self, message: str, place: int = 0) -> None:
+        super().__init__(message)
+        self.place = place
+
+
+@contextlib.contextmanager
+def _about(place: int) -> Iterator[None]:
+    """Errors of the block are about the request at this place."""
+    try:
+        yield
+    except ValueError as error:
+        raise RequestError(str(error), place) from error.__cause__
 
 
 class _Prior(NamedTuple):
@@ -101,7 +119,8 @@ class _Prior(NamedTuple):
 class _Numbers:
     """The numbers that are free, as they are found: start, bounds and prior of each, and what each sets."""
 
-    def __init__(self) -> None:
+    def __init__(self, dtype: Any) -> None:
+        self._dtype = dtype
         self._start: list[float] = []
         self._lower: list[float] = []
         self._upper: list[float] = []
@@ -162,6 +181,7 @@ class _Numbers:
                 f"free: {earlier.label} and {own.label} are one number, with two priors: {earlier} and {own}"
             )
         self._mean[number], self._precision[number] = own.mean, _precision_of(deviation)
+        _check_priors(one.label, self._start[number], own.mean, self._precision[number], self._dtype)
 
     def columns(self) -> list[np.ndarray]:
         """The first fields of `Parameters`, from `start` to `prior_precision`."""
@@ -221,8 +241,7 @@ def _add_numbers(numbers: _Numbers, catalogue: Catalogue, request: Free, chosen:
 
 def _as_named(catalogue: Catalogue, request: Free, chosen: list[Chosen], view_names: Sequence[str]) -> list[Chosen]:
     """What a request means, the fields in the order in which it names them."""
-    named = [request.where] if isinstance(request.where, str) or callable(request.where) else list(request.where)
-    each = [one.path for path in named for one in choose(catalogue, path, view_names, blocks=False)[0]]
+    each = [one.path for path in several(request.where) for one in choose(catalogue, path, view_names, blocks=False)[0]]
     place = {path: number for number, path in reversed(list(enumerate(each)))}
     return sorted(chosen, key=lambda one: place[one.path])
 
@@ -234,8 +253,6 @@ def _check_options(request: Free, chosen: list[Chosen]) -> None:
         kind = f"whole textures of at least {MIN_BLOCK} colours" + (" that are not tied" if request.tied else "")
         raise ValueError(f"{path}: smoothness and total_variation are for {kind}")
     _check_lengths(request, chosen)
-    if request.tied not in (True, False, "all"):
-        raise ValueError(f"{path}: tied: expected True, False or 'all', got {request.tied!r}")
     if request.tied is True:
         _check_tie(chosen)
     if request.tied == "all":
@@ -252,14 +269,13 @@ def _texel_block(
     start = image[..., : shape[2]]
 
     def spread(option: str, given: Any, default: Any) -> np.ndarray:
-        refuse_masked(f"{path}: {option}", given)
+        allowed = f"one number, one a component, or an image of shape {list(shape)}"
+        numbers = known_numbers(f"{path}: {option}", default if given is None else given, allowed).astype(np.float64)
         try:
-            numbers = np.asarray(default if given is None else given, np.float64)
             if np.any(np.isnan(numbers)):
                 raise ValueError
             return np.broadcast_to(numbers, shape).reshape(-1)
-        except (TypeError, ValueError):
-            allowed = f"one number, one a component, or an image of shape {list(shape)}"
+        except ValueError:
             raise ValueError(f"{path}: {option}: expected {allowed}, got {given!r:.60}") from None
 
     low, high = (
@@ -294,23 +310,30 @@ def _texel_block(
         shape=shape,
         path=path,
     )
-    values = np.clip(start.reshape(-1), low, high)
-    return block, [values, low, high, mean, _precision_of(deviation)]
+    values, precisions = np.clip(start.reshape(-1), low, high), _precision_of(deviation)
+    _check_priors(path, values, mean, precisions, dtype)
+    return block, [values, low, high, mean, precisions]
 
 
 def _requests(free: Any) -> list[Free]:
     if isinstance(free, Mapping):
         return [_with_options(path, options) for path, options in free.items()]
-    each = list(free) if isinstance(free, Iterable) and not isinstance(free, str) else [free]
     requests = []
-    for one in each:
+    for one in several(free):
         if not (isinstance(one, (str, Free)) or callable(one)):
             raise ValueError(f"free: expected a field path, a function of the scene or a Free, got {one!r:.80}")
         requests.append(one if isinstance(one, Free) else Free(one))
-    for one in requests:
-        if isinstance(one.where, Sequence) and not one.where:
-            raise ValueError(f"free: expected a path or several, got {one.where!r}")
     return requests
+
+
+def _checked(request: Free) -> Free:
+    """The request, with its paths as a list and `tied` as one of its values."""
+    where, tied = several(request.where), plain(request.tied)
+    if not where:
+        raise ValueError(f"free: expected a path or several, got {request.where!r:.60}")
+    if not isinstance(tied, bool | str) or tied not in (True, False, "all"):
+        raise ValueError(f"{where[0]}: tied: expected True, False or 'all', got {tied!r:.60}")
+    return dataclasses.replace(request, where=where, tied=tied)
 
 
 def _with_options(path: Any, options: Any) -> Free:
@@ -377,6 +400,17 @@ def _precision_of(deviation: Any) -> Any:
     """1 / deviation^2; infinity where that is more than there are numbers."""
     with np.errstate(over="ignore"):
         return np.asarray(deviation, np.float64) ** -2.0
+
+
+def _check_priors(path: str, start: Any, mean: Any, precision: Any, dtype: Any) -> None:
+    """Raise ValueError for priors whose weight, or whose loss at the start, is more than the type holds."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        loss = precision * np.square(np.subtract(start, mean))
+    holds = f"more than {np.dtype(dtype)} holds"
+    if np.any(precision > largest_of(dtype)):
+        raise ValueError(f"{path}: deviation: a prior's deviation is too small: 1 / deviation^2 is {holds}")
+    if np.any(loss > largest_of(dtype)):
+        raise ValueError(f"{path}: mean: so many deviations from the start that the prior's loss is {holds}")
 
 
 def _check_one_prior(request: Free, path: str) -> None:

@@ -118,8 +118,8 @@ def check_gradients(
     if samples.count == 0:
         raise ValueError("samples: there is nothing to check: the buffer holds no sample")
     if tolerance is not None:
-        positive("tolerance", tolerance)
-    whole("seed", seed, at_least=0)
+        tolerance = positive("tolerance", tolerance)
+    seed = whole("seed", seed, at_least=0)
     chosen, switched_off = _checkable(scene, fields)
     skipped = tuple(field.path for field in switched_off)
     dtype = compute_dtype(samples)
@@ -172,6 +172,8 @@ def _checkable(scene: Scene, wanted: Path | Iterable[Path] | None) -> tuple[list
     if wanted is not None:
         masks = {selection.leaf: selection.mask for selection in paths.select(scene, wanted)}
         every = [field for field in every if field.leaf in masks and np.any(masks[field.leaf][field.index])]
+        if not every:
+            raise ValueError("fields: none is named; leave it out to check all of them")
     chosen, skipped = [], []
     for field in every:
         value = field.value(scene)

@@ -60,7 +60,8 @@ def fitted_values(
         raise ValueError(f"solver: expected a BoundedLevenbergMarquardt, got {solver!r:.60}")
     problem = _with_every_term(problem)
     solver = _exact_solver(problem) if solver is None else solver
-    return _answer(problem, solver, whole("max_steps", max_steps, at_least=1)).values
+    steps = min(whole("max_steps", max_steps, at_least=1), np.iinfo(np.int32).max)
+    return _answer(problem, solver, steps).values
 
 
 def _exact_solver(problem: Problem) -> BoundedLevenbergMarquardt:

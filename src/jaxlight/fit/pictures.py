@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
 
 from ..formats.levels import is_chosen
+from ..given import several
 from ..image import resolve, sky
 from ..lighting.compiling import quick_jit
 from ..raster.samples import SampleBuffer
@@ -58,7 +59,7 @@ def view_pictures(result: Fit, views: View | Sequence[View]) -> list[ViewPicture
     Raises:
         ValueError: views of another number or size than the fit had.
     """
-    each = list(views) if isinstance(views, Iterable) else [views]
+    each = several(views)
     fitted = len(result.exposure)
     if not all(isinstance(view, View) for view in each):
         raise ValueError("views: expected a View or a list of them")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..arrays import array_of
+from ..given import plain, several
 from ..lighting import LightingOptions, make_plan
 from ..lighting.checks import check_samples
 from ..raster.samples import SampleBuffer
@@ -104,14 +105,15 @@ def make_problem(
         ValueError: names the view, field or option, what came and what is allowed.
     """
     check_scene(scene)
-    each = list(views) if isinstance(views, Iterable) else [views]
+    each = several(views)
     if not each or not all(isinstance(view, View) for view in each):
         came = next((f"a {type(one).__name__}" for one in each if not isinstance(one, View)), "none")
         raise ValueError(f"views: expected a View or a list of at least one View, got {came}")
-    if loss not in ("squares", "huber", "cauchy"):
-        raise ValueError(f"loss: expected 'squares', 'huber' or 'cauchy', got {loss!r}")
+    loss = plain(loss)
+    if not isinstance(loss, str) or loss not in ("squares", "huber", "cauchy"):
+        raise ValueError(f"loss: expected 'squares', 'huber' or 'cauchy', got {loss!r:.60}")
     if loss != "squares":
-        positive(f"loss_scale: for the {loss} loss", loss_scale)
+        loss_scale = positive(f"loss_scale: for the {loss} loss", loss_scale)
     elif loss_scale is not None:
         raise ValueError(
             f"loss_scale: squares have none; leave it out or choose 'huber' or 'cauchy', got {loss_scale!r:.60}"
@@ -119,6 +121,9 @@ def make_problem(
     names = [view.name for view in each]
     _check_names(names)
     dtype = _float_type(scene, each)
+    limits = jnp.finfo(dtype)
+    if loss_scale is not None and not float(limits.tiny) <= loss_scale * loss_scale <= float(limits.max):
+        raise ValueError(f"loss_scale: expected a number whose square {dtype} holds, got {loss_scale:g}")
     _check_finite(scene)
     exposures = [exposure_of(view, row) for row, view in enumerate(each)]
     world = World(scene, array_of(exposures, dtype))

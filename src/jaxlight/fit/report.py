@@ -11,7 +11,7 @@ import html
 import importlib.metadata
 import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,11 @@ from PIL import Image
 from ..formats.limits import as_path
 from ..formats.quantize import quantize
 from ..formats.safe_write import written_whole
+from ..given import plain, several
 from ..image import encode
 from ..image.encode import Transfer
-from ..scene.fields import string, strings
+from ..scene.fields import choice, string, strings
+from ..tracing import refuse_inside
 from .fitting import Fit
 from .pictures import ViewPictures, view_pictures
 from .residuals import is_limit
@@ -66,14 +68,17 @@ def write_report(
         ValueError: `result` is not what `fit` returns; views of another number or size than the fit had; transfers of
             another number.
     """
+    refuse_inside("write_report")
     if not isinstance(result, Fit):
         raise ValueError(f"result: expected a Fit, got {type(result).__name__}")
     path = as_path("write_report: path", path)
-    string("title", title)
+    title = string("title", title)
     warnings = None if warnings is None else strings("warnings", warnings)
-    each = list(views) if isinstance(views, Iterable) else [views]
+    transfers: list[Any] = [choice("none", "srgb")("transfer", own) for own in several(transfer)]
+    each = several(views)
     pictures = view_pictures(result, each)
-    transfers: list[Transfer] = [transfer] * len(each) if isinstance(transfer, str) else list(transfer)
+    if isinstance(plain(transfer), str):
+        transfers *= len(each)
     if len(transfers) != len(each):
         raise ValueError(f"transfer: expected one for each of {len(each)} views, got {len(transfers)}")
     shown: list[Transfer] = [

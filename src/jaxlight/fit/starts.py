@@ -9,7 +9,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..scene.fields import whole
 from .parameters import FreeField
 from .problem import Problem
 from .run import solve
@@ -17,6 +16,8 @@ from .solver import BoundedLevenbergMarquardt
 
 _SCATTERED = ("location", "direction", "shininess", "beam_width", "cut_off_angle", "visibility_range")
 """Fields in which the equation is far from linear: a start may lie in the wrong valley of them."""
+MAX_STARTS = 100_000
+"""All are explored side by side."""
 
 
 class Explored(NamedTuple):
@@ -40,8 +41,7 @@ def random_starts(problem: Problem, fields: list[FreeField], count: int, seed: i
     samples as those reach; angles and exponents anywhere in their bounds; other fields keep their start value. If there
     are no others, that is told.
     """
-    count = whole("starts", count, at_least=1)
-    random = np.random.default_rng(whole("seed", seed, at_least=0))
+    random = np.random.default_rng(seed)
     parameters = problem.parameters
     start, lower, upper = (np.asarray(a, np.float64) for a in (parameters.start, parameters.lower, parameters.upper))
     middle, reach, towards = _surroundings(problem)

@@ -25,6 +25,7 @@ from PIL.TiffImagePlugin import (
 )
 
 from ..arrays import known_numbers
+from ..scene.fields import whole
 from ..tracing import refuse_traced
 from .errors import SceneFileError
 from .levels import refuse_levels
@@ -233,6 +234,7 @@ def write_image(path: str | Path, image: Any, *, bits: int = 8) -> None:
     suffix = path.suffix.lower()
     if suffix not in (".png", ".jpg", ".jpeg", ".exr"):
         raise ValueError(f"{path}: expected a name that ends in .png, .jpg, .jpeg or .exr")
+    bits = whole(f"{path}: bits", bits, at_least=1)
     if bits not in (8, 16) or (bits == 16 and suffix != ".png"):
         raise ValueError(f"{path}: expected 8 bits, or 16 for a .png, got bits={bits}")
     if suffix in (".jpg", ".jpeg"):
@@ -329,7 +331,7 @@ def _said_by(source: Any) -> str:
         said = source.geterror()
     except UnicodeDecodeError as error:
         said = error.object.decode("utf-8", errors="replace")
-    return said.strip().partition("\n")[0]
+    return said.strip().partition("\n")[0] or "OpenImageIO does not say why"
 
 
 def _color_channels(names: list[str]) -> list[int]:

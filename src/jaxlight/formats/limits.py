@@ -21,9 +21,14 @@ CIRCLE = "is a link that leads in a circle"
 
 def as_path(where: str, path: Any) -> Path:
     """The path that somebody gives; raises ValueError that names what else it is."""
-    if not isinstance(path, (str, os.PathLike)):
+    try:
+        name = os.fspath(path)
+        is_path = isinstance(name, str) and b"\0" not in os.fsencode(name)
+    except (TypeError, UnicodeEncodeError):
+        is_path = False
+    if not is_path or name == "":
         raise ValueError(f"{where}: expected a path, got {path!r:.60}")
-    return Path(path)
+    return Path(name)
 
 
 def resolved(path: Path) -> Path:

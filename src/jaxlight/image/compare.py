@@ -10,6 +10,7 @@ import numpy as np
 
 from ..arrays import known_numbers
 from ..formats.levels import is_chosen
+from ..scene.fields import positive
 from ..tracing import refuse_traced
 
 
@@ -40,6 +41,7 @@ class Difference:
         )
 
 
+@np.errstate(over="ignore")
 def compare(image: Any, reference: Any, mask: Any = None, *, peak: float = 1.0) -> Difference:
     """The errors of `image` against `reference`, in float64.
 
@@ -57,8 +59,7 @@ def compare(image: Any, reference: Any, mask: Any = None, *, peak: float = 1.0) 
             that is not > 0; traced arrays.
     """
     refuse_traced("compare", image, reference, mask)
-    if not isinstance(peak, (int, float, np.integer, np.floating)) or not 0 < peak < math.inf:
-        raise ValueError(f"compare: peak: expected a finite number > 0, got {peak!r:.60}")
+    peak = positive("compare: peak", peak)
     a, b = _image("image", image), _image("reference", reference)
     if a.shape != b.shape:
         raise ValueError(f"compare: image has shape {list(np.shape(image))}, reference {list(np.shape(reference))}")
@@ -82,7 +83,7 @@ def compare(image: Any, reference: Any, mask: Any = None, *, peak: float = 1.0) 
         largest=float(np.abs(errors).max()),
         mean=float(np.abs(errors).mean()),
         rmse=rmse,
-        psnr=20 * math.log10(peak / rmse) if rmse > 0 else math.inf,
+        psnr=20 * (math.log10(peak) - math.log10(rmse)) if rmse > 0 else math.inf,
         relative_l2=float(np.linalg.norm(errors)) / length if length > 0 else (math.inf if rmse > 0 else 0.0),
         worst_pixel=(int(worst[0]), int(worst[1])),
         pixels=int(used.sum()),

@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 
 from ..processor import for_cpu
+from ..scene.fields import boolean
 from ..tracing import is_traced
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -67,6 +68,7 @@ def compiler_options(*, all_cores: bool = False) -> dict[str, Any]:
         all_cores: whether XLA may share out the loops of a call among cores. It gains in forward passes under up to
             four lights and in gradients under some dozens; in others the cores wait for each other.
     """
+    all_cores = boolean("compiler_options: all_cores", all_cores)
     return dict(cpu_options(all_cores=all_cores)) if for_cpu() else {}
 
 

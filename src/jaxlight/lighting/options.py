@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Hashable
 from typing import Literal
+
+from ..given import plain
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +36,8 @@ class LightingOptions:
             "accuracy": ("full", "fast"),
         }
         for name, values in allowed.items():
-            own = getattr(self, name)
-            if not isinstance(own, Hashable) or own not in values:  # an array would compare element by element
+            own = plain(getattr(self, name))
+            if type(own) is not type(values[0]) or own not in values:
                 expected = " or ".join(map(repr, values))
-                raise ValueError(f"LightingOptions.{name}: expected {expected}, got {own!r}")
+                raise ValueError(f"LightingOptions.{name}: expected {expected}, got {own!r:.60}")
+            object.__setattr__(self, name, own)

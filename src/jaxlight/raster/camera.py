@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..arrays import known_numbers
+from ..formats.limits import MAX_PIXELS
 from ..scene import Scene, nodes
 from ..scene.checks import check_has_nodes
 from ..scene.document import PlacedViewpoint
@@ -19,6 +20,9 @@ from .shapes import geometries_of, world_bounds
 
 DEFAULT_VIEWPOINT = nodes.Viewpoint()
 """What X3D binds (Navigation) when a file has no Viewpoint: at (0, 0, 10), looking along -z."""
+MAX_SIDE = 1 << 15
+MAX_PICTURE_SAMPLES = 1 << 26
+"""Samples of one picture (8192 x 8192, one sample a pixel)."""
 
 
 class Rays(NamedTuple):
@@ -50,7 +54,7 @@ class Camera:
         if (self.field_of_view is None) == (self.intrinsics is None):
             raise ValueError("Camera: expected either field_of_view or intrinsics")
         if self.field_of_view is not None:
-            _check_angle("Camera.field_of_view", self.field_of_view)
+            _set(self, "field_of_view", _angle("Camera.field_of_view", self.field_of_view))
         if self.intrinsics is not None:
             matrix = _finite("Camera.intrinsics", self.intrinsics, (3, 3))
             if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or np.any(matrix[[1, 2, 2], [0, 0, 1]]) or matrix[2, 2] != 1:
@@ -148,7 +152,7 @@ class Camera:
             ValueError: the scene has no shape with geometry, a direction of length 0, or an angle out of range.
         """
         check_has_nodes("Camera.view_all", scene)
-        _check_angle("Camera.view_all: field_of_view", field_of_view)
+        field_of_view = _angle("Camera.view_all: field_of_view", field_of_view)
         sphere = bounding_sphere(scene)
         if sphere is None:
             raise ValueError("Camera.view_all: the scene has no shape with geometry to look at")
@@ -202,7 +206,10 @@ class Camera:
                 [[1 / fx, -skew / (fx * fy), (skew * cy / fy - cx) / fx], [0, -1 / fy, cy / fy], [0, 0, -1.0]]
             )
         assert self.field_of_view is not None
-        width, height = _size("pixel_to_camera", width, height)
+        width, height = (
+            whole(f"pixel_to_camera: {name}", size, at_least=1, at_most=MAX_PIXELS)
+            for name, size in (("width", width), ("height", height))
+        )
         scale = 2 * math.tan(self.field_of_view / 2) / min(width, height)
         return np.array([[scale, 0, -scale * width / 2], [0, -scale, scale * height / 2], [0, 0, -1.0]])
 
@@ -230,8 +237,8 @@ class Camera:
         Raises:
             ValueError: `width` or `height` is no whole number >= 1, `samples` none in [1, 256].
         """
-        width, height = _size("rays", width, height)
         offsets = sample_pattern(samples)
+        width, height = picture_size("rays", width, height, len(offsets))
         u = np.arange(width)[None, :, None] + offsets[:, 0]
         v = np.arange(height)[:, None, None] + offsets[:, 1]
         points = np.stack(np.broadcast_arrays(u, v, 1.0), axis=-1).reshape(-1, 3)
@@ -250,8 +257,18 @@ def bounding_sphere(scene: Scene) -> tuple[np.ndarray, float] | None:
     return (low + high) / 2, float(np.linalg.norm(high - low) / 2)
 
 
-def _size(where: str, width: int, height: int) -> tuple[int, int]:
-    return whole(f"{where}: width", width, at_least=1), whole(f"{where}: height", height, at_least=1)
+def picture_size(where: str, width: Any, height: Any, samples: int) -> tuple[int, int]:
+    """Width and height of a picture of so many samples a pixel; raises ValueError if it is none, or too large."""
+    width, height = (
+        whole(f"{where}: {name}", size, at_least=1, at_most=MAX_SIDE, what="a whole number of pixels")
+        for name, size in (("width", width), ("height", height))
+    )
+    if width * height * samples > MAX_PICTURE_SAMPLES:
+        about = "samples" if samples > 1 else where
+        raise ValueError(
+            f"{about}: {width} x {height} pixels with {samples} samples each exceed {MAX_PICTURE_SAMPLES} samples"
+        )
+    return width, height
 
 
 def checked_rotation(what: str, value: Any) -> np.ndarray:
@@ -273,9 +290,12 @@ def _upright(toward: np.ndarray, up: np.ndarray) -> np.ndarray:
     return np.stack([right, np.cross(back, right), back], axis=1)
 
 
-def _check_angle(what: str, radians: float) -> None:
-    if not isinstance(radians, int | float | np.number) or isinstance(radians, bool) or not 0 < radians < math.pi:
-        raise ValueError(f"{what}: expected radians in (0, pi), got {radians!r}")
+def _angle(what: str, radians: Any) -> float:
+    allowed = "radians in (0, pi)"
+    array = known_numbers(what, radians, allowed)
+    if array.shape or array.dtype == bool or not 0 < array < math.pi:
+        raise ValueError(f"{what}: expected {allowed}, got {radians!r:.60}")
+    return float(array)
 
 
 def _finite(what: str, value: Any, shape: tuple[int, ...], *, flat: bool = False) -> np.ndarray:

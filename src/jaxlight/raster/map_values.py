@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import os
 from typing import Any, Literal
 
 import numpy as np
@@ -11,6 +11,7 @@ from ..arrays import FILL, GIVE_MASK, known_numbers
 from ..formats import read_image
 from ..formats.images import is_exr, read_levels
 from ..formats.levels import is_chosen, is_levels, refuse_levels
+from ..formats.limits import as_path
 from .array_files import Fits, read_array_file
 
 _ARRAYS = (".npy", ".npz")
@@ -29,15 +30,20 @@ def map_values(what: str, value: Any, fits: Fits) -> tuple[np.ndarray, Literal["
             millimetres), a file that cannot be read, an .npz without an array of that name.
     """
     where = f"samples_from_maps: {what}"
-    if not isinstance(value, (str, Path)):
+    if not is_path(value):
         return _numbers(where, what, value, fits), "vector"
-    path = Path(value)
+    path = as_path(where, value)
     where = f"{where}: {path}"
     if path.suffix.lower() not in _ARRAYS:
         image = read_image(path)
         _check(where, image, fits)
         return image, "vector" if is_exr(path) else "color"
     return _numbers(where, what, read_array_file(where, what, path, fits), fits), "vector"
+
+
+def is_path(value: Any) -> bool:
+    """Whether a map is given by the path of its file."""
+    return isinstance(value, (str, os.PathLike))
 
 
 def surface_numbers(value: Any, fits: Fits) -> np.ndarray:
@@ -51,8 +57,8 @@ def surface_numbers(value: Any, fits: Fits) -> np.ndarray:
         ValueError: not numbers, or a file that cannot be read or holds no whole numbers.
     """
     where = "samples_from_maps: surface"
-    if isinstance(value, (str, Path)):
-        path = Path(value)
+    if is_path(value):
+        path = as_path(where, value)
         is_array = path.suffix.lower() in _ARRAYS
         value = read_array_file(f"{where}: {path}", "surface", path, fits) if is_array else read_levels(path)
     return known_numbers(where, value, "integers", instead=GIVE_MASK)

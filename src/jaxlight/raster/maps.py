@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from pathlib import Path
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -13,7 +12,7 @@ import numpy as np
 from ..formats.levels import is_chosen
 from ..scene.fields import boolean, float_type, positive, type_or_own, vector3
 from .camera import Camera, checked_rotation
-from .map_values import check_shape, fitted, map_values, surface_numbers
+from .map_values import check_shape, fitted, is_path, map_values, surface_numbers
 from .pattern import morton
 from .samples import SampleBuffer
 
@@ -121,8 +120,7 @@ def samples_from_maps(
     if normal_y_down:
         vectors = vectors * [1.0, -1.0, 1.0]
     if normal_frame == "camera":
-        with np.errstate(invalid="ignore"):  # of infinite components, where there is no surface
-            vectors = vectors @ view.rotation.T
+        vectors = _turned(vectors, view)
     points = _points(view, position, depth, position_frame, depth_kind, height, width)
 
     finite = np.all(np.isfinite(vectors), axis=2) & np.all(np.isfinite(points), axis=2)
@@ -156,6 +154,12 @@ def samples_from_maps(
     )
 
 
+def _turned(vectors: np.ndarray, view: Camera | Orthographic) -> np.ndarray:
+    """Vectors of camera axes in world axes."""
+    with np.errstate(invalid="ignore"):  # of infinite components, where there is no surface
+        return vectors @ view.rotation.T
+
+
 def _is_empty(colors: np.ndarray) -> np.ndarray:
     """Which colours [height, width, 3 or 4] hold no normal: clear, black or mid grey ones."""
     clear = np.zeros(colors.shape[:2], bool) if colors.shape[2] == 3 else colors[..., 3] == 0
@@ -183,13 +187,13 @@ def _points(
     origin = np.asarray(view.position if isinstance(view, Camera) else view.center)
     if position is not None:
         points = _map("position", position, height, width, 3)
-        return points @ view.rotation.T + origin if position_frame == "camera" else points
+        return _turned(points, view) + origin if position_frame == "camera" else points
     away = _map("depth", depth, height, width, None, or_one=True)
     away = np.full((height, width), float(away)) if away.ndim == 0 else away
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     if isinstance(view, Orthographic):
         x, y = (u - width / 2) * view.pixel_size, (height / 2 - v) * view.pixel_size
-        return np.stack([x, y, -away], axis=-1) @ view.rotation.T + origin
+        return _turned(np.stack([x, y, -away], axis=-1), view) + origin
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ view.pixel_to_world(width, height).T
     if depth_kind == "distance":
         rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
@@ -213,7 +217,7 @@ def _far_eye(view: Orthographic, points: np.ndarray, dtype: Any) -> np.ndarray:
 
 
 def _surface(surface: Any, height: int, width: int, rows: np.ndarray, columns: np.ndarray) -> Any:
-    if np.ndim(surface) == 0 and not isinstance(surface, (str, Path)):
+    if np.ndim(surface) == 0 and not is_path(surface):
         return surface
     numbers = surface_numbers(surface, functools.partial(_check_surface, height=height, width=width))
     if numbers.ndim == 0:

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from ..scene.fields import whole
+
 MAX_SAMPLES = 256
 
 
@@ -18,9 +20,8 @@ def sample_pattern(samples: int) -> np.ndarray:
     Raises:
         ValueError: `samples` is not a whole number in [1, 256].
     """
-    if isinstance(samples, bool) or not isinstance(samples, (int, np.integer)) or not 1 <= samples <= MAX_SAMPLES:
-        raise ValueError(f"samples: expected a whole number of samples a pixel in [1, {MAX_SAMPLES}], got {samples!r}")
-    samples = int(samples)
+    what = "a whole number of samples a pixel"
+    samples = whole("samples", samples, at_least=1, at_most=MAX_SAMPLES, what=what)
     steps = np.arange(samples)
     best = max((g for g in range(1, samples + 1) if math.gcd(g, samples) == 1), key=lambda g: _spread(steps, g))
     return np.stack([steps, steps * best % samples], axis=1) / samples + 0.5 / samples

@@ -10,7 +10,7 @@ import numpy as np
 from ..scene import Scene, nodes
 from ..scene.checks import check_has_nodes
 from ..scene.fields import float_type, type_or_own
-from .camera import Camera
+from .camera import Camera, picture_size
 from .depth_buffer import rows_of
 from .face_depth import PreparedFaces
 from .pattern import morton, sample_pattern
@@ -20,9 +20,6 @@ from .visibility import Prepared, barycentric, first_hits
 
 TOO_FAR = 1e4
 """How many times its own size what is seen may lie from the origin: 3 of the 7 digits of float32 are left there."""
-MAX_SIDE = 1 << 15
-MAX_PICTURE_SAMPLES = 1 << 26
-"""Samples of one picture (8192 x 8192, one sample a pixel)."""
 
 
 def rasterize(
@@ -62,7 +59,7 @@ def rasterize(
     check_has_nodes("rasterize: scene", scene)
     dtype = float_type("rasterize: dtype", dtype)
     offsets = sample_pattern(samples)
-    width, height = _size(width, width if height is None else height, len(offsets))
+    width, height = picture_size("rasterize", width, width if height is None else height, len(offsets))
     camera = _camera(scene, camera)
     placed = PlacedShapes.of(scene)
     triangles, faces = placed.prepared(camera, width, height)
@@ -81,7 +78,7 @@ def rasterize(
         eye=camera.position,
         surface=surface[order],
         pixel=seen.y * width + seen.x,
-        coverage=None if samples == 1 else np.full(len(order), 1.0 / samples),
+        coverage=None if len(offsets) == 1 else np.full(len(order), 1.0 / len(offsets)),
         width=width,
         height=height,
         camera_to_world=camera.rotation,
@@ -148,17 +145,3 @@ def _camera(scene: Scene, camera: Camera | nodes.Viewpoint | None) -> Camera:
             return Camera.default(scene)
         case _:
             raise ValueError(f"rasterize: camera: expected a Camera, a Viewpoint or None, got {camera!r:.60}")
-
-
-def _size(width: int, height: int, samples: int) -> tuple[int, int]:
-    """Width and height as Python's integers, which neither overflow nor pass for arrays."""
-    for what, value in (("width", width), ("height", height)):
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= MAX_SIDE:
-            raise ValueError(f"rasterize: {what}: expected a whole number of pixels in [1, {MAX_SIDE}], got {value!r}")
-    width, height = int(width), int(height)
-    if width * height * samples > MAX_PICTURE_SAMPLES:
-        where = "samples" if samples > 1 else "rasterize"
-        raise ValueError(
-            f"{where}: {width} x {height} pixels with {samples} samples each exceed {MAX_PICTURE_SAMPLES} samples"
-        )
-    return width, height

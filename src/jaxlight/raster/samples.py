@@ -16,9 +16,9 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from ..arrays import array_of, refuse_masked
+from ..arrays import array_of, real_array
 from ..formats.levels import refuse_levels
-from ..scene.fields import boolean, float_type, type_or_own, whole
+from ..scene.fields import boolean, float_type, integer, type_or_own, whole
 from .sample_rows import SampleRows, check_finite, checked_rows
 from .tile_layout import CLUSTER, TileLayout, layout_of
 
@@ -203,10 +203,8 @@ class SampleBuffer(eqx.Module):
         Raises:
             ValueError: no numbers; not as many values as samples.
         """
-        try:
-            values = jnp.asarray(values)
-        except (TypeError, ValueError):
-            raise ValueError(f"SampleBuffer: in_storage_order: expected numbers, got {values!r:.60}") from None
+        values = real_array("SampleBuffer: in_storage_order", values)
+        axis = integer("SampleBuffer: in_storage_order: axis", axis)
         if not -values.ndim <= axis < values.ndim or values.shape[axis] != self.count:
             expected = f"{self.count} along axis {axis}, one a sample"
             raise ValueError(f"SampleBuffer: in_storage_order: expected {expected}, got {list(values.shape)}")
@@ -252,19 +250,13 @@ class SampleBuffer(eqx.Module):
         for name, own in rows.items():
             if own is None:
                 continue
-            refuse_masked(f"SampleBuffer: {name}", own)
             if name == "color":
                 refuse_levels("SampleBuffer: color", own)
             planes = getattr(self, f"{name}_planes")
             if planes is None:
                 raise ValueError(f"SampleBuffer: {name}: the buffer has none that could be replaced")
             expected = (self.count, planes.shape[1])
-            try:
-                if jnp.issubdtype(getattr(own, "dtype", float), jnp.complexfloating):
-                    raise TypeError
-                given = jnp.asarray(own, planes.dtype)
-            except (TypeError, ValueError):
-                raise ValueError(f"SampleBuffer: {name}: expected real numbers, got {own!r:.60}") from None
+            given = real_array(f"SampleBuffer: {name}", own).astype(planes.dtype)
             if given.shape != expected:
                 raise ValueError(f"SampleBuffer: {name}: expected shape {list(expected)}, got {list(given.shape)}")
             if not isinstance(given, Tracer):

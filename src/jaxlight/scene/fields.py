@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..arrays import known_numbers
+from ..given import plain
 
 
 def with_article(name: str) -> str:
@@ -101,14 +102,14 @@ def positive(where: str, value: Any) -> float:
     return number(where, value, above=0.0)
 
 
-def whole(where: str, value: Any, *, at_least: int) -> int:
-    """One whole number >= `at_least`."""
-    allowed = f"a whole number >= {at_least}"
+def whole(where: str, value: Any, *, at_least: int, at_most: int | None = None, what: str = "a whole number") -> int:
+    """One whole number in the given range."""
+    allowed = f"{what} >= {at_least}" if at_most is None else f"{what} in [{at_least}, {at_most}]"
     try:
         n = operator.index(value)
     except TypeError:
         raise _refusal(where, value, allowed) from None
-    if isinstance(value, bool) or n < at_least:
+    if isinstance(value, bool) or n < at_least or (at_most is not None and n > at_most):
         raise _refusal(where, value, allowed)
     return n
 
@@ -139,7 +140,7 @@ def float_type(where: str, value: Any) -> jnp.dtype | None:
     allowed = f"a floating-point type such as 'float32' (one of {', '.join(dtype.name for dtype in _FLOATS)})"
     try:
         dtype = None if value is None else jnp.dtype(value)
-    except TypeError:
+    except (TypeError, ValueError):
         raise _refusal(where, value, allowed) from None
     if dtype is not None and dtype not in _FLOATS:
         raise _refusal(where, value, allowed)
@@ -156,16 +157,18 @@ def spot_angle(where: str, value: Any) -> float:
 
 def boolean(where: str, value: Any) -> bool:
     """True or False."""
-    if not isinstance(value, (bool, np.bool_)):
+    own = plain(value)
+    if not isinstance(own, bool):
         raise _refusal(where, value, "True or False")
-    return bool(value)
+    return own
 
 
 def string(where: str, value: Any) -> str:
     """A string."""
-    if not isinstance(value, str):
+    own = plain(value)
+    if not isinstance(own, str):
         raise _refusal(where, value, "a string")
-    return value
+    return own
 
 
 def strings(where: str, value: Any) -> tuple[str, ...]:
@@ -179,9 +182,10 @@ def choice(*words: str) -> Callable[[str, Any], str]:
     """A check for one of the given words."""
 
     def check(where: str, value: Any) -> str:
-        if not isinstance(value, str) or value not in words:
+        own = plain(value)
+        if not isinstance(own, str) or own not in words:
             raise _refusal(where, value, " or ".join(repr(word) for word in words))
-        return value
+        return own
 
     return check
 

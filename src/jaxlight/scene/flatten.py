@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import array_of
+from ..given import several
 from . import nodes
 from .document import Document, PlacedBackground, PlacedShape, PlacedViewpoint
 from .fields import float_type, largest_of, with_article
@@ -124,9 +125,10 @@ def shown_below(node: nodes.Node) -> tuple[nodes.Node, ...]:
 
 def scene_from_nodes(children: nodes.Node | Sequence[nodes.Node], *, dtype: Any = None) -> Scene:
     """See `Scene.from_nodes`."""
-    if not isinstance(children, (nodes.Node, Iterable)):
-        raise ValueError(f"Scene.from_nodes: expected a node or a list of nodes, got {type(children).__name__}")
-    roots = (children,) if isinstance(children, nodes.Node) else tuple(children)
+    roots = tuple(several(children))
+    for root in roots:
+        if not isinstance(root, nodes.Node):
+            raise ValueError(f"Scene.from_nodes: expected a node or a list of nodes, got {root!r:.60}")
     walk = _Walk.through(roots)
     materials = _distinct(shape.appearance.material for shape, _, _ in walk.shapes if shape.appearance)
     textures = _distinct(_texture(shape) for shape, _, _ in walk.shapes)

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..given import several
 from .fields import (
     axis_angle,
     boolean,
@@ -84,7 +85,7 @@ class Node:
     def label(self) -> str:
         """How messages name this node: `Material[body]`, or `Material` without a DEF name."""
         name = getattr(self, "name", "")
-        return f"{type(self).__name__}[{name}]" if name else type(self).__name__
+        return f"{type(self).__name__}[{name}]" if isinstance(name, str) and name else type(self).__name__
 
     def _checked_nodes(self, field: str, default: Any, value: Any) -> Any:
         allowed = self.accepts[field]
@@ -95,7 +96,7 @@ class Node:
                 raise ValueError(f"{self.label}.{field}: expected {kinds}, got {node!r:.80}")
 
         if isinstance(default, tuple):
-            children = tuple(value) if isinstance(value, (list, tuple)) else (value,)
+            children = tuple(several(value))
             for child in children:
                 check(child)
             return children

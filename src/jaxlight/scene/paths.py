@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
+from ..given import several
 from . import nodes
 from .ranges import POSITIVE, Range, allowed_range
 from .scene import Scene
@@ -140,11 +141,10 @@ def select(scene: Scene, path: Path | Iterable[Path]) -> list[Selection]:
     Raises:
         ValueError: nothing in the scene has this path; lists the closest that exist.
     """
-    if not isinstance(path, Iterable) and not callable(path):
-        raise ValueError(f"fields: expected paths such as 'Material[0].diffuse_color', got {path!r:.60}")
-    paths = [path] if isinstance(path, str) or callable(path) else list(path)
     masks: dict[Leaf, np.ndarray] = {}
-    for one in paths:
+    for one in several(path):
+        if not (isinstance(one, str) or callable(one)):
+            raise ValueError(f"fields: expected paths such as 'Material[0].diffuse_color', got {one!r:.60}")
         found = _by_function(scene, one) if callable(one) else _by_name(scene, one)
         for leaf, mask in found:
             masks[leaf] = masks[leaf] | mask if leaf in masks else mask
@@ -170,9 +170,8 @@ def light_rows(scene: Scene, paths: str | Iterable[str]) -> dict[str, np.ndarray
     Raises:
         ValueError: no such light; lists those that exist.
     """
-    paths = [paths] if isinstance(paths, str) else list(paths) if isinstance(paths, Iterable) else [paths]
     rows: dict[str, set[int]] = {kind: set() for kind in LIGHT_KINDS}
-    for path in paths:
+    for path in several(paths):
         if not isinstance(path, str):
             raise ValueError(f"lights: expected a light such as 'PointLight[0]', got {path!r:.60}")
         kind, row, field, _ = _parse(path if "." in path.rpartition("]")[2] else f"{path}.*")
