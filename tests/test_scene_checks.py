@@ -17,6 +17,7 @@ from jaxlight import (
     LightingOptions,
     SampleBuffer,
     Scene,
+    Surface,
     View,
     check_gradients,
     fit,
@@ -59,6 +60,7 @@ LEAVES: list[tuple[Callable[[Scene], Any], Any, str]] = [
         np.ones((2, 3), int),
         r"floating-point numbers .*got int64 of shape \[2, 3\]",
     ),
+    (lambda s: s.materials.shininess, np.ones(2, ">f4"), r"floating-point numbers .*got >f4 of shape \[2\]"),
     (lambda s: s.materials.shininess, 0.5, r"Material\.shininess: .* \[2\], got a float"),
     (lambda s: s.materials.shininess, 1, r"Material\.shininess: .* \[2\], got an int"),
     (
@@ -90,6 +92,13 @@ def test_leaves_of_another_shape_or_type_are_refused(
     ):
         with pytest.raises(ValueError, match=message):
             act()
+
+
+@pytest.mark.parametrize("surfaces", [None, [Surface("lit", 0)], (("lit", 0, -1, 0),), (Surface("lit", np.array(0)),)])
+def test_surfaces_of_another_type_are_refused(seen: tuple[Scene, SampleBuffer], surfaces: Any) -> None:
+    scene, samples = seen
+    with pytest.raises(ValueError, match="scene: surfaces: expected a tuple of Surface, got "):
+        shade(dataclasses.replace(scene, surfaces=surfaces), samples)
 
 
 @pytest.mark.parametrize("kind", ["directional", "point", "spot", "fog"])

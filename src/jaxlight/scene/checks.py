@@ -50,6 +50,8 @@ def check_scene(scene: Scene) -> None:
         raise ValueError(f"scene: expected a Scene, got {type(scene).__name__}")
     if _checked.get(id(scene)) is scene:
         return
+    if not isinstance(scene.surfaces, tuple) or not all(map(_is_surface, scene.surfaces)):
+        raise ValueError(f"scene: surfaces: expected a tuple of Surface, got {scene.surfaces!r:.60}")
     for kind, attribute in ATTRIBUTES.items():
         owner = getattr(scene, attribute)
         if attribute == "textures":
@@ -148,6 +150,11 @@ def _check_flags(name: str, owner: Any, surfaces: int) -> None:
             raise ValueError(f"{name}.{field}: expected Flags of shape {list(shape)}, got {told}")
 
 
+def _is_surface(given: Any) -> bool:
+    """Whether it is a Surface of a word and numbers, which can be static."""
+    return isinstance(given, Surface) and all(isinstance(field, str | int | np.integer) for field in given)
+
+
 @functools.lru_cache(maxsize=64)
 def _check_surfaces(surfaces: tuple[Surface, ...], materials: int, textures: int) -> None:
     """They are of a known kind, and the rows that they name exist."""
@@ -180,7 +187,7 @@ def _dimensions(owner: type) -> dict[str, tuple[int | str, ...]]:
 
 @functools.cache
 def _is_float(dtype: Any) -> bool:
-    return dtype is not None and jnp.issubdtype(dtype, jnp.floating)
+    return dtype is not None and jnp.issubdtype(dtype, jnp.floating) and dtype.isnative
 
 
 def _is_of_shape(shape: tuple[int, ...], expected: list[int | str]) -> bool:
