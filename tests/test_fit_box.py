@@ -11,6 +11,7 @@ import pytest
 
 from fit_scenes import precision
 from jaxlight.fit import box
+from jaxlight.fit.curvature import ArrowCurvature
 
 minimise_in_box = jax.jit(box.minimise_in_box)
 
@@ -101,3 +102,31 @@ def test_large_boxes_that_start_on_their_bounds_are_solved() -> None:
             point = np.asarray(found.point)
             downhill = np.clip(point - hessian @ point - gradient, lower, upper) - point
             assert np.abs(downhill).max() < 1e-11, f"box {number}"
+
+
+def test_boxes_of_texels_and_numbers_are_solved() -> None:
+    with precision("float64"):
+        minimise = jax.jit(lambda arrow, *rest: arrow.minimise((), *rest))
+        random, count, texels = np.random.default_rng(0), 9, 40
+        for number in range(8):
+            by_number = random.normal(size=(3 * texels, count))
+            by_number[:, -1] = by_number[:, 0] + 0.05 * by_number[:, -1]
+            by_texel = np.tile(np.eye(texels), (3, 1)) * random.uniform(0.2, 1.0, 3 * texels)[:, None]
+            jacobian = np.concatenate([by_number, by_texel], axis=1)
+            hessian, gradient = jacobian.T @ jacobian, jacobian.T @ random.normal(size=3 * texels)
+            size, own = count + texels, np.diag(hessian)[count:]
+            lower, upper = (sign * random.exponential(0.2, size) * (random.random(size) > 0.3) for sign in (-1, 1))
+            arrow = ArrowCurvature(
+                few=jnp.asarray(hessian[:count, :count]),
+                cross=jnp.asarray(hessian[count:, :count]),
+                row_sum=jnp.asarray(own),
+                strengths=(),
+                own=jnp.asarray(own),
+                neighbours=(None,),
+                shapes=((texels, 1, 1),),
+            )
+            found = minimise(arrow, gradient, np.sqrt(np.diag(hessian)), jnp.zeros(()), lower, upper)
+            assert bool(found.solved), f"box {number}"
+            point = np.asarray(found.point)
+            downhill = np.clip(point - (hessian @ point + gradient) / np.diag(hessian), lower, upper) - point
+            assert np.abs(downhill).max() < 1e-2 * np.abs(gradient / np.diag(hessian)).max(), f"box {number}"

@@ -22,6 +22,8 @@ CONJUGATE_STEPS = 100
 """Of conjugate gradients at most, where texels are eliminated."""
 TOLERANCE = 1e-4
 """Part of the slope that conjugate gradients may leave."""
+ROUNDS = 16
+"""In which the bounds that hold texels and numbers are found, at most; few steps need more than four."""
 
 
 class NormalEquations(NamedTuple):
@@ -187,7 +189,7 @@ class ArrowCurvature(Curvature):
 
         found = minimise_quadratic(
             lambda points: jax.lax.map(product, points), solve_free, gradient / scale, lower * scale, upper * scale,
-            rounds=4, fractions=(1.0, 0.25), tolerance=10 * TOLERANCE,
+            rounds=ROUNDS, fractions=(1.0, 0.25), tolerance=10 * TOLERANCE,
         )  # fmt: skip
         return BoxMinimum(found.point / scale, found.solved)
 
