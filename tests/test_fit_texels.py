@@ -149,6 +149,41 @@ def test_strength_against_texture_is_named() -> None:
         np.testing.assert_allclose(result.value(SKIN) * strength, skin(), atol=1e-4)
 
 
+@pytest.mark.parametrize("prior", ["deviation", "smoothness"])
+def test_what_priors_of_texels_tell_of_a_number_is_as_uncertain_as_they_are(prior: str) -> None:
+    """Strength and texture can be traded: without the prior nothing is known, however precise the picture is."""
+    with precision("float64") as dtype:
+        random, deviation, strength, texels = np.random.default_rng(0), 0.2, 0.7, 25
+        image = random.uniform(0.2, 0.8, (5, 5, 3))
+        body = nodes.Material(ambient_intensity=0.0)
+        shape = nodes.Shape(appearance=nodes.Appearance(material=body, texture=nodes.PixelTexture(image=image)))
+        lamp = nodes.DirectionalLight(direction=(0, 0, -1), intensity=strength, global_=True)
+        row = np.arange(4 * texels)
+        samples = SampleBuffer.create(
+            np.stack([row, 0 * row, 0 * row], 1) / texels, np.tile([0.0, 0.0, 1.0], (len(row), 1)), (0, 0, 4),
+            texel_index=np.repeat(row[:, None] % texels, 4, axis=1), texel_weight=np.tile([1, 0, 0, 0], (len(row), 1)),
+            dtype=dtype,
+        )  # fmt: skip
+        colors = np.tile(image.reshape(-1, 3), (4, 1))
+        left = 1e-3 * random.normal(size=colors.shape)
+        fields = [Free("Texture[0].image", **{prior: deviation}), "DirectionalLight[0].intensity"]
+        problem, description = make_problem(
+            Scene.from_nodes([shape, lamp], dtype=dtype), View(samples, strength * colors + left), fields
+        )
+        found = uncertainty(problem, description, problem.parameters.start)
+    of_texel = strength * np.kron(np.tile(np.eye(texels), (4, 1)), np.eye(3))
+    jacobian = np.concatenate([colors.reshape(-1, 1), of_texel], axis=1)
+    pictures, priors = jacobian.T @ jacobian, np.zeros((1 + 3 * texels, 1 + 3 * texels))
+    step = np.eye(5)[1:] - np.eye(5)[:-1]
+    pairs = np.kron(step.T @ step, np.eye(5)) + np.kron(np.eye(5), step.T @ step)
+    priors[1:, 1:] = np.kron(pairs if prior == "smoothness" else np.eye(texels), np.eye(3)) / deviation**2
+    inverse = np.linalg.inv(pictures + priors)
+    variance = np.sum(left**2) / (left.size - np.sum(inverse * pictures))
+    covariance = inverse @ (variance * pictures + priors) @ inverse
+    assert found.noise == pytest.approx(np.sqrt(variance), rel=1e-2)
+    assert found.standard_error[0] == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-4)
+
+
 def test_a_fit_of_textures_alone_has_an_uncertainty_of_no_numbers() -> None:
     with precision("float64") as dtype:
         truth = scene(skin(), dtype)

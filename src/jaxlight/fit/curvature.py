@@ -122,10 +122,7 @@ class ArrowCurvature(Curvature):
     def _texels(self, texels: Array, sampling: tuple[TexelSampling, ...]) -> Array:
         """The texels' part applied to texels."""
         images = self._images(texels)
-        sums = self._images(self.own * texels)
-        for block, neighbours in enumerate(self.neighbours):
-            if neighbours is not None:
-                sums[block] = sums[block] + neighbours.product(images[block])
+        sums = self._images(self.own * texels + self.neighbours_product(texels))
         tables, totals = list(map(_planes, images)), list(map(_planes, sums))
         for stack, strengths in zip(sampling, self.strengths, strict=True):
             for (block, start, stop), strength in zip(stack.runs, strengths, strict=True):
@@ -140,6 +137,15 @@ class ArrowCurvature(Curvature):
 
                 totals[block], _ = jax.lax.scan(of_view, totals[block], (index, weight, strength))
         return jnp.concatenate([total.T.reshape(-1) for total in totals])
+
+    def neighbours_product(self, texels: Float[Array, " texels"]) -> Float[Array, " texels"]:
+        """What belongs to neighbours, applied to texels."""
+        return jnp.concatenate(
+            [
+                jnp.zeros(image.size, texels.dtype) if neighbours is None else neighbours.product(image).reshape(-1)
+                for image, neighbours in zip(self._images(texels), self.neighbours, strict=True)
+            ]
+        )
 
     def eliminated(self, sampling: tuple[TexelSampling, ...], free: Array) -> tuple[Array, Array]:
         """(few [few, few] with the free texels eliminated, [texels, few] how texels answer to the numbers).

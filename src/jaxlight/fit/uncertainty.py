@@ -181,14 +181,14 @@ def uncertainty(problem: Problem, description: Description, values: Any) -> Unce
     rank = int(np.count_nonzero(~held & ~seen.unseen)) - len(seen.null)
     inverse = inverse_of_seen(curvature, held, seen) + inverse_of_priors(reduced.precision, seen)
     off = off_by_priors(curvature, reduced.precision, reduced.gradient, side, held, seen, float(rounding))
-    fitted = rank - float(np.diagonal(inverse) @ reduced.precision) + float(reduced.texels)
+    fitted = rank - float(np.sum(inverse * reduced.priors)) + float(reduced.texels)
     unknown = "" if left is None else _why_unknown(description, left, fitted)
     noise, variance = (np.inf, np.inf) if unknown else _noise(description, left, fitted)
     is_known = not unknown
     covariance = inverse
     if is_known:
         # Of what the pictures say, and of what priors do: written as a difference it would round to 0 where noise is.
-        by_priors = (inverse * reduced.precision) @ inverse
+        by_priors = inverse @ reduced.priors @ inverse
         covariance = variance * (inverse - by_priors) + by_priors
     traded = np.max(np.abs(seen.null), axis=0, initial=0) > 1e-4
     error = np.where(seen.unseen | traded, np.inf, np.sqrt(np.maximum(np.diagonal(covariance), 0)))
@@ -238,6 +238,8 @@ class _Reduced(NamedTuple):
     """Of the Jacobian's columns, before texels were eliminated."""
     precision: Any
     """Of the priors of the labelled numbers."""
+    priors: Any
+    """[numbers, numbers]: the curvature of all priors, those of texels as these answer to the numbers."""
     sizes: Any
     """See `Strides.sizes`; the larger one of those at the start and at the values."""
     rows: Any
@@ -353,7 +355,8 @@ def _reduced(problem: Problem, values: Any, noise_known: Any, eps: Any) -> _Redu
     rows = diagonal[count:]
     if not isinstance(curvature, ArrowCurvature):
         none = jnp.zeros((0, count))
-        return _Reduced(of_pictures, noise, gradient, matrix, none, lengths, precision, sizes, rows, jnp.zeros(()))
+        priors, no_texels = jnp.diag(precision), jnp.zeros(())
+        return _Reduced(of_pictures, noise, gradient, matrix, none, lengths, precision, priors, sizes, rows, no_texels)
     # What presses a texel against its bound must be more than noise and the rounding of the values.
     size = jnp.abs(values)
     rounded = eps * (rows * size[count:] + jnp.matmul(jnp.abs(curvature.cross), size[:count]))
@@ -371,7 +374,11 @@ def _reduced(problem: Problem, values: Any, noise_known: Any, eps: Any) -> _Redu
     said = (pictures > 1e-9 * rows) & ~held
     share = pictures / jnp.where(said, pictures + precision[count:] + degree, 1)
     texels = jnp.sum(jnp.where(said, share, 0))
-    return _Reduced(of_pictures, noise, slope, reduced, answers, lengths, precision[:count], sizes, rows, texels)
+    of_texels = precision[count:, None] * answers + jax.vmap(curvature.neighbours_product, 1, 1)(answers)
+    priors = jnp.diag(precision[:count]) + jnp.matmul(answers.T, of_texels, precision="highest")
+    return _Reduced(
+        of_pictures, noise, slope, reduced, answers, lengths, precision[:count], priors, sizes, rows, texels
+    )
 
 
 def _unseen_texels(problem: Problem, rows: np.ndarray) -> list[UnseenTexels]:
