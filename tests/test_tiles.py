@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from counted_work import at_most_calls
 from fit_scenes import precision
 from jaxlight import Scene, compiler_options, nodes, processor
 from jaxlight.fit import View
@@ -118,6 +119,19 @@ def test_few_samples_are_not_worth_a_thread(monkeypatch: pytest.MonkeyPatch) -> 
     assert cores.shares_of(0) == cores.shares_of(2 * cores.LEAST_SAMPLES - 1) == 1
     assert cores.shares_of(3 * cores.LEAST_SAMPLES) == 3
     assert cores.shares_of(10**7) == 16
+
+
+def test_a_call_asks_little_of_python_for_each_of_many_surfaces() -> None:
+    count = 500
+    materials = [nodes.Material(shininess=number / count) for number in range(count)]
+    scene = Scene.from_nodes([nodes.Shape(appearance=nodes.Appearance(material=own)) for own in materials])
+    position = np.arange(3.0 * count).reshape(count, 3) % 7
+    samples = SampleBuffer.create(
+        position, position + 1, [0, 0, 9], surface=np.arange(count), camera_to_world=np.eye(3)
+    )
+    shade(scene, samples)
+    with at_most_calls(4 * count + 2000):
+        shade(scene, samples)
 
 
 def test_what_fails_in_a_thread_is_raised() -> None:

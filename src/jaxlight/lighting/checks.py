@@ -27,17 +27,18 @@ def check_samples(scene: Scene, samples: SampleBuffer) -> None:
     if scene.directional is not None and scene.directional.headlight and samples.camera_to_world is None:
         said = "samples: no camera_to_world: the headlight of a scene without lights shines along the world's -z"
         warnings.warn(said, stacklevel=3)
+    surfaces, components = scene.surfaces, 0 if samples.color_planes is None else samples.color_planes.shape[1]
+    has_texels = samples.texel_index is not None
     for row, _, _ in samples.runs:
-        if row >= len(scene.surfaces):
-            raise ValueError(f"samples: surface {row} asked for, but the scene has {len(scene.surfaces)} surfaces")
-        surface = scene.surfaces[row]
-        components = 0 if samples.color_planes is None else samples.color_planes.shape[1]
+        if row >= len(surfaces):
+            raise ValueError(f"samples: surface {row} asked for, but the scene has {len(surfaces)} surfaces")
+        surface = surfaces[row]
         if surface.color_components > components:
             raise ValueError(
                 f"samples: surface {row} has {surface.color_components}-component vertex colours, "
                 f"the buffer holds {components}"
             )
-        if surface.textured and samples.texel_index is None:
+        if surface.textured and not has_texels:
             raise ValueError(
                 f"samples: surface {row} has a texture, but the buffer has no texel_index and texel_weight"
             )

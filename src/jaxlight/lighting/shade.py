@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import copy
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -154,7 +154,14 @@ def checked(
     else:
         check_place(plan, samples)
     # Plans that need the same terms share compiled code, wherever their samples lie.
-    return dataclasses.replace(scene, document=None), plan._replace(within=None)
+    return _without_document(scene), plan._replace(within=None)
+
+
+def _without_document(scene: Scene) -> Scene:
+    """Copied as it is: `dataclasses.replace` would look at every surface again."""
+    bare = copy.copy(scene)
+    object.__setattr__(bare, "document", None)
+    return bare
 
 
 def _rows_of_runs(plan: Plan, scene: Scene, samples: SampleBuffer, share: Share | None) -> list[Array]:

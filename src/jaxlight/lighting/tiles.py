@@ -6,6 +6,7 @@ Derivatives are taken tile by tile too (a tile is computed anew in reverse mode)
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -35,18 +36,15 @@ costs, and to put its colours where they belong, is as much as half of the loop 
 def surface_runs(surfaces: tuple[Surface, ...], samples: SampleBuffer) -> list[Run]:
     """The buffer's tiles, split where the code that colours them changes."""
     runs: list[Run] = []
-    for row, start, stop in samples.runs:
-        surface = surfaces[row]
-        last = runs[-1] if runs else None
-        if last is not None and _alike(last.surface, surface):
-            runs[-1] = Run(last.surface, None, last.start, stop)
-        else:
-            runs.append(Run(surface, row, start, stop))
+    for _, alike in itertools.groupby(samples.runs, lambda run: _code_of(surfaces[run[0]])):
+        (row, start, stop), *more = alike
+        runs.append(Run(surfaces[row], None, start, more[-1][2]) if more else Run(surfaces[row], row, start, stop))
     return runs
 
 
-def _alike(a: Surface, b: Surface) -> bool:
-    return a._replace(material=min(a.material, 0)) == b._replace(material=min(b.material, 0))
+def _code_of(surface: Surface) -> tuple[str, bool, int, int]:
+    """What of a surface decides on the code that colours it; which material it has does not."""
+    return surface.lighting, surface.material < 0, surface.texture, surface.color_components
 
 
 def tiles_at_once(scene: Scene, samples: SampleBuffer, plan: Plan) -> int:
