@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..lighting.tiles import Run, surface_runs
-from ..scene.scene import Surface
+from ..scene import Scene
 from .views import ViewData
 
 _EVERY = (16, 8, 4)
@@ -36,10 +36,10 @@ def tiles_of_part(run: Run, every: Any) -> tuple[Any, Any]:
     return run.start + offset, (tiles - offset + every - 1) // every
 
 
-def choose_part(views: Sequence[ViewData], surfaces: tuple[Surface, ...]) -> Part:
+def choose_part(views: Sequence[ViewData], scene: Scene) -> Part:
     """The part for these views: all of it where there are few tiles, many short runs of them, or pixels that gather
     several samples."""
-    runs = [(view, run) for view in views for run in surface_runs(surfaces, view.samples)]
+    runs = [(view, run) for view in views for run in surface_runs(scene.surfaces, view.samples, scene.textures)]
     tiles = sum(run.stop - run.start for _, run in runs)
     slots = sum((run.stop - run.start) * view.samples.tile for view, run in runs)
     enough = [every for every in _EVERY if tiles >= every * _LEAST_TILES and slots >= every * _LEAST_SAMPLES]

@@ -162,7 +162,7 @@ def make_problem(
     )
     noise_known = all(view.noise is not None for view in each)
     weighted = any(view.noise is not None and _weighs(view.weight) for view in each)
-    part = WHOLE if parameters.blocks else choose_part(data, scene.surfaces)
+    part = WHOLE if parameters.blocks else choose_part(data, scene)
     alone = [label_of(view.name, row) for row, view in enumerate(each) if is_of_surfaces_alone(scene, view)]
     return problem, Description(fields, labels, names, count, noise_known, weighted, alone, part, scene.document)
 

@@ -112,7 +112,7 @@ def sum_over_tiles(
     """
     own, shares = (0, 1) if share is None else (share.number, share.shares)
     surfaces = problem.world.scene.surfaces
-    for run in surface_runs(surfaces, view.samples):
+    for run in _runs_of(problem, view):
         first, count = tiles_of_part(run, problem.every)
 
         def step(number: Array, carry: Carry, run: Run = run, first: Array = first) -> Carry:
@@ -138,7 +138,7 @@ def over_tiles(
     only.
     """
     outputs, surfaces = [], problem.world.scene.surfaces
-    for run in surface_runs(surfaces, view.samples):
+    for run in _runs_of(problem, view):
 
         def step(carry: Carry, index: Array, run: Run = run) -> tuple[Carry, Any]:
             return of_tile(carry, _tile(surfaces, view, run, index, forward, together))
@@ -146,6 +146,12 @@ def over_tiles(
         carry, output = jax.lax.scan(step, carry, jnp.arange(run.start // together, run.stop // together))
         outputs.append(output)
     return carry, outputs
+
+
+def _runs_of(problem: Problem, view: ViewData) -> list[Run]:
+    """A view's tiles, split where the code changes; where whole textures are free, also where textures do."""
+    scene = problem.world.scene
+    return surface_runs(scene.surfaces, view.samples, None if problem.parameters.blocks else scene.textures)
 
 
 def _tile(

@@ -196,7 +196,7 @@ def _by_tiles(
     start = (jnp.zeros(LANES, compute_dtype(samples)), packed(on_fewer_lanes(wide)), own_numbers)
     zeros, terms_of = ravel_pytree(jax.tree.map(jnp.zeros_like, start))
     carry = ((zeros,), (zeros,))
-    for run in surface_runs(scene.surfaces, samples):
+    for run in surface_runs(scene.surfaces, samples, scene.textures):
 
         def step(carry: Any, index: Array, run: Any = run) -> tuple[Any, None]:
             def color_at(moving: Any) -> Color:

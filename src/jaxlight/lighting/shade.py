@@ -127,7 +127,7 @@ def _shade(
         return unaware(_shaded, (form, plan), axes, *varying((scene, samples), axes))
     if not _is_on_cpu(samples):
         return _formed_in_jit(form, plan, scene, samples)
-    runs, shares = surface_runs(scene.surfaces, samples), shares_of(samples.slots)
+    runs, shares = surface_runs(scene.surfaces, samples, scene.textures), shares_of(samples.slots)
     if all(is_one_loop(run, scene, plan) for run in runs):
         return _shaded_by_all_cores(form, plan, scene, samples)
     if shares == 1:
@@ -169,7 +169,7 @@ def _rows_of_runs(plan: Plan, scene: Scene, samples: SampleBuffer, share: Share 
     prepared = prepare(scene, samples, plan)
     return [
         rows_of_run(run, prepared, samples, plan, share, one_loop=is_one_loop(run, scene, plan))
-        for run in surface_runs(scene.surfaces, samples)
+        for run in surface_runs(scene.surfaces, samples, scene.textures)
     ]
 
 
@@ -222,7 +222,7 @@ def _rows_in_stages(plan: Plan, scene: Scene, samples: SampleBuffer, by_images: 
     prepared = prepare(scene, samples, plan, count)
     runs = [
         color_and_alpha_of_run(run, prepared, samples, plan, count, by_images=by_images)
-        for run in surface_runs(scene.surfaces, samples)
+        for run in surface_runs(scene.surfaces, samples, scene.textures)
     ]
     if not runs:
         return [_in_one([], samples)]

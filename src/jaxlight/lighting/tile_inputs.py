@@ -6,12 +6,14 @@ Where lights are culled, samples are read cluster by cluster (see `culling`), th
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import operator
 from functools import partial
 from typing import Any, NamedTuple, cast
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
@@ -150,8 +152,7 @@ def read_tile(
     if texel is not None:
         texel = arranged(texel)
     elif surface.textured and index_planes is not None and weight_planes is not None:
-        weight = cut(weight_planes)
-        texel = sampled_texture(prepared.textures[surface.texture], cut(index_planes, jnp.dtype(jnp.int32)), weight)
+        texel = _texel(how.run, prepared, samples, row, cut(index_planes, jnp.dtype(jnp.int32)), cut(weight_planes))
     inputs = TileInputs(
         position=unread(samples.position_planes),
         normal=unread(samples.normal_planes),
@@ -164,6 +165,30 @@ def read_tile(
     )
     ordinary = for_all_mapped(jnp.all(lax.dynamic_slice_in_dim(prepared.ordinary, first, count)))
     return dataclasses.replace(stage, ordinary=ordinary), near, inputs
+
+
+def textures_of_run(run: Run, surfaces: tuple[Surface, ...], samples: SampleBuffer) -> list[tuple[int, int, int]]:
+    """(texture, first tile, tile after the last) of neighbouring tiles of one texture, for a run that has textures."""
+    own = [part for part in samples.runs if run.start <= part[1] < run.stop]
+    found = []
+    for texture, alike in itertools.groupby(own, lambda part: surfaces[part[0]].texture):
+        (_, start, stop), *more = alike
+        found.append((texture, start, more[-1][2] if more else stop))
+    return found
+
+
+def _texel(
+    run: Run, prepared: Prepared, samples: SampleBuffer, row: Any, index: Array, weight: Array
+) -> Float[Array, "components ..."]:
+    """The texture of surface `row`; of several surfaces by the one of these that their tile has."""
+    of_run = sorted({texture for texture, _, _ in textures_of_run(run, prepared.surfaces, samples)})
+    branches = [partial(sampled_texture, prepared.textures[texture]) for texture in of_run]
+    if len(branches) == 1:
+        return branches[0](index, weight)
+    numbers = np.array(
+        [of_run.index(own.texture) if own.texture in of_run else 0 for own in prepared.surfaces], np.int32
+    )
+    return lax.switch(jnp.asarray(numbers)[row], branches, index, weight)
 
 
 def tile_of(plane: Array, index: Array, tile: int) -> Array:

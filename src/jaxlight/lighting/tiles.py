@@ -17,34 +17,44 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..processor import sizes
+from ..processor import for_cpu, sizes
 from ..raster.samples import SampleBuffer
-from ..scene import Scene, Surface
+from ..scene import Scene, Surface, Texture
 from .changes import with_change, without_zeros
 from .lanes import Packed, on_all_lanes, packed, spread, unpacked
 from .one_tile import Color, rows_of_tiles, tile_color
 from .plan import Plan
 from .prepared import Prepared, compute_dtype
 from .surface import sampled_texture
-from .tile_inputs import Run
+from .tile_inputs import Run, textures_of_run
 
 VERY_FEW = 4
 """Lights under which the samples of a run are evaluated in one loop: tile by tile, what a step of the loop over tiles
 costs, and to put its colours where they belong, is as much as half of the loop over samples."""
 
 
-def surface_runs(surfaces: tuple[Surface, ...], samples: SampleBuffer) -> list[Run]:
-    """The buffer's tiles, split where the code that colours them changes."""
+def surface_runs(
+    surfaces: tuple[Surface, ...], samples: SampleBuffer, textures: tuple[Texture, ...] | None = None
+) -> list[Run]:
+    """The buffer's tiles, split where the code that colours them changes.
+
+    `textures`: those of the scene; all that have as many components are read by the same code. None: split by textures.
+    """
+    per_texture = None if textures is None or not for_cpu() else [own.image.shape[-1] for own in textures]
+
+    def code_of(run: tuple[int, int, int]) -> tuple[str, bool, int, int]:
+        """Which material a surface has makes no difference."""
+        surface = surfaces[run[0]]
+        texture = surface.texture
+        if per_texture is not None and texture >= 0:
+            texture = per_texture[texture]
+        return surface.lighting, surface.material < 0, texture, surface.color_components
+
     runs: list[Run] = []
-    for _, alike in itertools.groupby(samples.runs, lambda run: _code_of(surfaces[run[0]])):
+    for _, alike in itertools.groupby(samples.runs, code_of):
         (row, start, stop), *more = alike
         runs.append(Run(surfaces[row], None, start, more[-1][2]) if more else Run(surfaces[row], row, start, stop))
     return runs
-
-
-def _code_of(surface: Surface) -> tuple[str, bool, int, int]:
-    """What of a surface decides on the code that colours it; which material it has does not."""
-    return surface.lighting, surface.material < 0, surface.texture, surface.color_components
 
 
 def tiles_at_once(scene: Scene, samples: SampleBuffer, plan: Plan) -> int:
@@ -174,8 +184,12 @@ def _of_parts_of_run(
     texel = None
     if run.surface.textured and "texel_index" in planes:
         index, weight = (jnp.swapaxes(planes[name], 0, 1) for name in ("texel_index", "texel_weight"))
-        texture = prepared.textures[run.surface.texture]
-        texel = jnp.swapaxes(sampled_texture(texture, index, weight.astype(compute_dtype(samples))), 0, 1)
+        weight = weight.astype(compute_dtype(samples))
+        first, texels = run.start // count, []
+        for number, start, stop in textures_of_run(run, prepared.surfaces, samples):
+            own = slice(start // count - first, stop // count - first)
+            texels.append(sampled_texture(prepared.textures[number], index[:, own], weight[:, own]))
+        texel = jnp.swapaxes(jnp.concatenate(texels, axis=1), 0, 1)
     return _mapped(step, (planes, ordinary, texel), dataclasses.replace(prepared, textures=()), samples)
 
 
