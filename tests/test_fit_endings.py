@@ -204,6 +204,25 @@ def test_other_minimisers_that_end_nowhere_keep_the_best_that_they_met() -> None
     assert np.isfinite([*result.values, result.loss]).all() and np.isfinite(result.exposure).all()
 
 
+def test_other_minimisers_that_end_above_the_optimum_are_not_believed() -> None:
+    """In float32 their line searches may come to nothing anywhere; where noise is what is left, all is well."""
+    free = [
+        "Material[body].diffuse_color",
+        Free("Material[body].specular_color", deviation=0.35),
+        "PointLight[key].intensity",
+    ]
+    with precision("float32") as dtype:
+        view = view_of(target=sphere_picture(SIZE, noise=0.01), noise=0.01)
+        body = material(diffuse_color=(0.68, 0.0, 0.69), specular_color=(0.0, 0.14, 0.94))
+        scene = sphere_scene(key_light(intensity=0.45), body=body, dtype=dtype)
+        best = fit(scene, view, free)
+        short = fit(scene, view, free, method=optx.BFGS(1e-4, 1e-4), max_steps=2000)
+        near = fit(best.scene, view, free[0], method=optx.BFGS(1e-4, 1e-4))
+    assert best.converged and short.loss > best.loss + 10
+    assert short.outcome == "stalled" and short.message.startswith("Not converged: BFGS ended after "), short.message
+    assert near.converged, near.message
+
+
 @pytest.mark.parametrize("case", ["noise", "target"])
 def test_of_a_fit_that_failed_nothing_is_known(case: str) -> None:
     """Its squares are beyond float32, and still finite in float64, in which errors are computed."""

@@ -25,7 +25,7 @@ from .checkpoint import Checkpoint, CheckpointWarning
 from .chosen import canonical
 from .interrupts import held_back, remembered
 from .minimisers import check_minimiser, minimise
-from .outcomes import Outcome, ending_of, message_of, outcome_of
+from .outcomes import Outcome, ending_of, falls_short, message_of, outcome_of
 from .pictures import residual_image
 from .problem import Description, Problem, make_problem
 from .record import Record
@@ -246,18 +246,20 @@ def _fit_by(
     """The fit that another minimiser makes, evaluated like one of ours."""
     began = time.monotonic()
     try:
-        record.begin(problem, description, begin(problem, solver), max_steps)
+        start = begin(problem, solver)
+        record.begin(problem, description, start, max_steps)
         found = minimise(problem, method, max_steps)
         state = advance(problem, solver, begin(problem, solver, found.values))
         if not (found.finite and np.isfinite(state.solver.loss)):
             found = found._replace(converged=False, finite=False)
             state = advance(problem, solver, begin(problem, solver, found.best))
+        short = falls_short(state, advance(problem, solver, start), solver, noise_known=description.noise_known)
     except BaseException as error:
         record.fail(error)
         raise
     history = [describe_step(problem, description, state, time.monotonic() - began)]
     made = make_fit(problem, description, state, history)
-    outcome, message = ending_of(found, type(method).__name__, made.outcome, made.rms, problem)
+    outcome, message = ending_of(found, type(method).__name__, made.outcome, made.rms, problem, short=short)
     made = dataclasses.replace(made, outcome=outcome, message=message)
     record.end(made.outcome, made.message, loss=made.loss, values=made.values)
     return made

@@ -12,6 +12,7 @@ import optimistix as optx
 from .minimisers import Minimum
 from .problem import Problem
 from .run import FitState
+from .solver import KINK_OFFSET, BoundedLevenbergMarquardt
 from .steps import Step
 
 Outcome = Literal["converged", "max_steps", "stalled", "unseen", "nonfinite", "interrupted"]
@@ -63,7 +64,29 @@ def message_of(outcome: Outcome, state: FitState, history: Sequence[Step], rms: 
     }[outcome]
 
 
-def ending_of(minimum: Minimum, name: str, evaluated: Outcome, rms: float, problem: Problem) -> tuple[Outcome, str]:
+_GAIN = 1e-5
+"""Of what another minimiser has gained: what it leaves is then no matter of its tolerance."""
+
+
+def falls_short(state: FitState, start: FitState, solver: BoundedLevenbergMarquardt, *, noise_known: bool) -> bool:
+    """Whether the loss can be lowered by something that matters: values a quarter of a standard error away.
+
+    Args:
+        state: evaluated where another minimiser ended.
+        start: evaluated where it began.
+        solver: ours, which evaluated both.
+        noise_known: whether the residuals' noise is 1; else what is left is taken for it.
+    """
+    loss, achievable = float(state.solver.loss), float(state.solver.achievable)
+    variance = max(2 * loss / float(solver.freedom), 1.0 if noise_known else 0.0)
+    offset_squared = 2 * achievable / (state.values.size * variance) if variance > 0 else 0.0
+    gained = float(start.solver.loss) - loss
+    return math.isfinite(achievable) and offset_squared > KINK_OFFSET**2 and achievable > _GAIN * gained
+
+
+def ending_of(
+    minimum: Minimum, name: str, evaluated: Outcome, rms: float, problem: Problem, *, short: bool
+) -> tuple[Outcome, str]:
     """How the fit of another minimiser ended, in a word and in a sentence.
 
     Args:
@@ -72,6 +95,7 @@ def ending_of(minimum: Minimum, name: str, evaluated: Outcome, rms: float, probl
         evaluated: how a fit of ours would end there, or at the best values if that was nowhere.
         rms: what is left.
         problem: the fit.
+        short: whether that `falls_short`.
     """
     steps, left = f"{minimum.steps} steps", left_of(rms, problem)
     if evaluated == "nonfinite":
@@ -82,6 +106,9 @@ def ending_of(minimum: Minimum, name: str, evaluated: Outcome, rms: float, probl
     if evaluated == "unseen":
         nothing = f"no picture changes with any free number where {name} ended"
         return evaluated, f"Not converged: {nothing}, after {steps}; {left}."
+    if minimum.converged and short:
+        why = "although the slope there says that the residual can be lowered"
+        return "stalled", f"Not converged: {name} ended after {steps}, {why}; {left}."
     if minimum.converged:
         return "converged", f"Converged by {name} in {steps}; {left}."
     return "max_steps", f"Not converged by {name} in {steps}; {left}."
