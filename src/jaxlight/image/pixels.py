@@ -73,8 +73,8 @@ def resolve(values: Any, samples: SampleBuffer) -> Float[Array, "height width ch
 def _over(
     shaded: Float[Array, "slots 4"], behind: Float[Array, "3"] | Float[Array, "height width 3"], samples: SampleBuffer
 ) -> Float[Array, "height width 3"]:
-    rgb, alpha = shaded[:, :3], shaded[:, 3:]
-    picture = _summed(jnp.concatenate([alpha * rgb, alpha], axis=1), samples)
+    # No concatenation of columns, which takes as long as the equation of one light.
+    picture = _summed(shaded * jnp.where(jnp.arange(4) < 3, shaded[:, 3:], 1), samples)
     return picture[..., :3] + (1 - picture[..., 3:]) * behind
 
 
