@@ -179,10 +179,11 @@ def test_numbers_recompile_only_where_they_change_what_is_skipped() -> None:
     black = jnp.zeros_like(scene.materials.specular_color)
     dull = dataclasses.replace(scene, materials=dataclasses.replace(scene.materials, specular_color=black))
     near, far = with_place(1.0, 0.0, 3.0), with_place(500.0, 0.0, 0.0)
+    renamed = dataclasses.replace(near, materials=dataclasses.replace(near.materials, names=("other",)))
     plan, compiled = make_plan(scene, samples, free=True), jax.jit(lambda scene: shade(scene, samples))
     ways: list[Callable[[Scene], jax.Array]] = [lambda scene: shade(scene, samples, plan=plan), compiled]
     shade(scene, samples)
-    assert [programs_of(lambda own=own: shade(own, samples)) for own in (near, far, dull)] == [0, 1, 1]
+    assert [programs_of(lambda own=own: shade(own, samples)) for own in (near, renamed, far, dull)] == [0, 0, 1, 1]
     for way in ways:
         way(scene)
         assert [programs_of(lambda own=own, way=way: way(own)) for own in (near, far, dull)] == [0, 0, 0]

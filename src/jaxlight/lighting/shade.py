@@ -5,8 +5,9 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -33,6 +34,8 @@ from .tiles import (
     surface_runs,
     tiles_at_once,
 )
+
+_Module = TypeVar("_Module", bound=eqx.Module)
 
 
 def shade(
@@ -139,7 +142,7 @@ def _shade(
 def checked(
     scene: Scene, samples: SampleBuffer, options: LightingOptions | None, plan: Plan | None
 ) -> tuple[Scene, Plan]:
-    """What is shaded, without what shading does not read, so that scenes that differ only there share compiled code."""
+    """What is shaded, without names and nodes: scenes that differ only there share compiled code."""
     check_samples(scene, samples)
     if plan is None:
         plan = make_plan(scene, samples, options)
@@ -154,14 +157,26 @@ def checked(
     else:
         check_place(plan, samples)
     # Plans that need the same terms share compiled code, wherever their samples lie.
-    return _without_document(scene), plan._replace(within=None)
+    return _bare(scene), plan._replace(within=None)
 
 
-def _without_document(scene: Scene) -> Scene:
+def _bare(scene: Scene) -> Scene:
+    groups = {
+        kind: _with(own, names=("",) * len(own.names))
+        for kind in ("materials", "directional", "point", "spot")
+        if (own := getattr(scene, kind)) is not None
+    }
+    fog = None if scene.fog is None else _with(scene.fog, name="")
+    textures = tuple(_with(texture, name="") for texture in scene.textures)
+    return _with(scene, **groups, fog=fog, textures=textures, document=None)
+
+
+def _with(owner: _Module, **changes: Any) -> _Module:
     """Copied as it is: `dataclasses.replace` would look at every surface again."""
-    bare = copy.copy(scene)
-    object.__setattr__(bare, "document", None)
-    return bare
+    own = copy.copy(owner)
+    for name, value in changes.items():
+        object.__setattr__(own, name, value)
+    return own
 
 
 def _rows_of_runs(plan: Plan, scene: Scene, samples: SampleBuffer, share: Share | None) -> list[Array]:
