@@ -154,14 +154,14 @@ OTHERS: list[tuple[Callable[[Scene, View, Fit], Any], str]] = [
         lambda s, v, r: LightingOptions(support_level=np.array([1, 2])),
         r"support_level: expected 1 or 2 or 3, got array",
     ),
-    (lambda s, v, r: v.samples.in_storage_order("a"), "in_storage_order: expected real numbers, got 'a'"),
+    (lambda s, v, r: v.samples.in_storage_order("no"), "in_storage_order: expected real numbers, got 'no'"),
     (lambda s, v, r: sum_over_samples(3, s, v.samples), "function: expected a function of colours, got 3"),
     (
-        lambda s, v, r: sum_over_samples(lambda c, p: c, s, v.samples, "a"),
-        r"planes\[0\]: expected real numbers, got 'a'",
+        lambda s, v, r: sum_over_samples(lambda c, p: c, s, v.samples, "no"),
+        r"planes\[0\]: expected real numbers, got 'no'",
     ),
     (lambda s, v, r: sum_over_samples(lambda c: 1j * c, s, v.samples), "function: expected real numbers, got complex"),
-    (lambda s, v, r: resolve("a", v.samples), "resolve: values: expected real numbers, got 'a'"),
+    (lambda s, v, r: resolve("no", v.samples), "resolve: values: expected real numbers, got 'no'"),
     (
         lambda s, v, r: shade(s, jax.tree.map(lambda leaf: leaf[None], v.samples)),
         r"samples: position_planes: expected shape \[1, 3, 64\], got \[1, 1, 3, 64\]: .* jax.vmap",

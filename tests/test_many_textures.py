@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlight import Scene, nodes
+from jaxlight import Camera, Scene, nodes, rasterize, shade
 from jaxlight.lighting import shade_slots
 from jaxlight.lighting.tile_inputs import textures_of_run
 from jaxlight.lighting.tiles import surface_runs
@@ -78,3 +78,31 @@ def test_each_shape_has_its_own_texture_and_derivatives_too() -> None:
         slope = np.zeros_like(known)
         np.add.at(slope, index, share * 2 * color)
         np.testing.assert_allclose(slopes[own.texture], slope.reshape(image.shape), rtol=1e-5)
+
+
+def test_shapes_of_several_kinds_in_turn_are_stored_kind_by_kind() -> None:
+    """Their rows stay those of the scene."""
+    picture = np.random.default_rng(7).uniform(0.1, 1, (2, 2, 3))
+    shapes = []
+    for number in range(6):
+        own = nodes.PixelTexture(image=picture / (1 + number)) if number % 3 == 1 else None
+        material = None if number % 3 == 2 else nodes.Material(diffuse_color=(0.1 * number, 0.5, 0.5))
+        appearance = nodes.Appearance(material=material, texture=own)
+        shape = nodes.Shape(appearance=appearance, geometry=nodes.Sphere())
+        shapes.append(nodes.Transform(translation=(3.0 * number, 0.0, 0.0), children=[shape]))
+    scene = Scene.from_nodes([*shapes, nodes.PointLight(location=(6.0, 0.0, 9.0))])
+    samples = rasterize(scene, Camera.view_all(scene), 128, 64)
+    runs = surface_runs(scene.surfaces, samples, scene.textures)
+    assert len(samples.runs) == 5 and len(runs) == 3
+    surface, position = np.asarray(samples.surface), np.asarray(samples.position)
+    np.testing.assert_array_equal(surface, np.array([0, 1, 2, 3, 4, 2])[np.rint(position[:, 0] / 3).astype(int)])
+    by_row = SampleBuffer.create(
+        position,
+        samples.normal,
+        samples.eye,
+        surface=surface,
+        texel_index=samples.in_sample_order(samples.texel_index).T,
+        texel_weight=samples.in_sample_order(samples.texel_weight).T,
+    )
+    assert len(surface_runs(scene.surfaces, by_row, scene.textures)) == 5
+    np.testing.assert_allclose(shade(scene, samples), shade(scene, by_row), rtol=1e-6)

@@ -226,12 +226,8 @@ MISTAKES = {
         "10: views[1].saturated: expected a number <= 1, where the numbers of side.png end, or inf for none, got 250",
     ),
     "a scale of squares": ("[start]", "loss_scale = 0\n[start]", "4: loss_scale: squares have none; leave it out"),
-    "no path": ('path = "Material[body].diffuse_color"', "path = []", "3: free[1]: expected a path or several, got ()"),
-    "bounds of a pattern": (
-        'path = "Material[body].diffuse_color"',
-        'path = "Material[*].diffuse_color", upper = 0.2',
-        "3: free[1]: Material[body].diffuse_color.r starts at",
-    ),
+    "no path": ('"Material[body].diffuse_color"', "[]", "3: free[1]: expected a path or several, got ()"),
+    "bounds of a pattern": ('[body].diffuse_color"', '[*].diffuse_color", upper = 0.2', "3: free[1]: Material[body]"),
 }
 
 

@@ -94,6 +94,7 @@ def test_leaves_of_another_shape_or_type_are_refused(
             act()
 
 
+@pytest.mark.filterwarnings("ignore:A JAX array is being set as static")
 @pytest.mark.parametrize("surfaces", [None, [Surface("lit", 0)], (("lit", 0, -1, 0),), (Surface("lit", np.array(0)),)])
 def test_surfaces_of_another_type_are_refused(seen: tuple[Scene, SampleBuffer], surfaces: Any) -> None:
     scene, samples = seen

@@ -40,15 +40,13 @@ def surface_runs(
 
     `textures`: those of the scene; all that have as many components are read by the same code. None: split by textures.
     """
-    per_texture = None if textures is None or not for_cpu() else [own.image.shape[-1] for own in textures]
+    shared = textures if for_cpu() else None
 
     def code_of(run: tuple[int, int, int]) -> tuple[str, bool, int, int]:
-        """Which material a surface has makes no difference."""
         surface = surfaces[run[0]]
-        texture = surface.texture
-        if per_texture is not None and texture >= 0:
-            texture = per_texture[texture]
-        return surface.lighting, surface.material < 0, texture, surface.color_components
+        if shared is not None:
+            return surface.code(shared)
+        return surface.lighting, surface.material < 0, surface.texture, surface.color_components
 
     runs: list[Run] = []
     for _, alike in itertools.groupby(samples.runs, code_of):

@@ -15,6 +15,7 @@ from .depth_buffer import rows_of
 from .face_depth import PreparedFaces
 from .pattern import morton, sample_pattern
 from .placed import Hits, PlacedShapes
+from .sample_rows import SampleRows
 from .samples import MANY_LIGHTS, SampleBuffer
 from .visibility import Prepared, barycentric, first_hits
 
@@ -45,8 +46,9 @@ def rasterize(
         dtype: float type of the buffer, as in `SampleBuffer.create`.
 
     Returns:
-        Samples ordered by surface, and within a surface along a Morton curve over the pixels, so that neighbours in the
-        buffer are neighbours in the picture (under many lights: in space). `pixel` counts row by row from the top left.
+        Samples surface by surface, those that the same code colours after each other, and within a surface along a
+        Morton curve over the pixels, so that neighbours in the buffer are neighbours in the picture (under many lights:
+        in space). `pixel` counts row by row from the top left.
 
     Raises:
         ValueError: a size that is not a whole number in range, another type, a geometry with a bad index, one that
@@ -65,7 +67,8 @@ def rasterize(
     triangles, faces = placed.prepared(camera, width, height)
     seen = _Seen.joined([_seen(triangles, faces, width, height, offset) for offset in offsets.tolist()])
     surface = placed.surface_of(seen.number)
-    order = np.lexsort((morton(seen.x, seen.y), surface))
+    rank = _rank_of_surfaces(scene)
+    order = np.lexsort((morton(seen.x, seen.y), rank[surface]))
     seen = _Seen(*(part[order] for part in seen))
     if len(order) == 0:
         reason = "the camera sees no surface" if placed.first[-1] else "no shape of the scene has geometry"
@@ -73,7 +76,7 @@ def rasterize(
     pixel_to_world = camera.pixel_to_world(width, height)
     attributes = placed.attributes(camera.position, _hits(triangles, faces, seen, pixel_to_world))
     _warn_if_far(attributes.position, camera.position, type_or_own(dtype))
-    return SampleBuffer.create(
+    given = SampleRows(
         **attributes._asdict(),
         eye=camera.position,
         surface=surface[order],
@@ -83,9 +86,17 @@ def rasterize(
         height=height,
         camera_to_world=camera.rotation,
         pixel_to_world=pixel_to_world,
-        by_place=any(lights is not None and len(lights.names) >= MANY_LIGHTS for lights in (scene.point, scene.spot)),
-        dtype=dtype,
     )
+    by_place = any(lights is not None and len(lights.names) >= MANY_LIGHTS for lights in (scene.point, scene.spot))
+    return SampleBuffer.from_rows(given, by_place=by_place, dtype=dtype, rank=rank)
+
+
+def _rank_of_surfaces(scene: Scene) -> np.ndarray:
+    """In which order surfaces are stored: each change of code is compiled."""
+    codes = [(surface.code(scene.textures), surface.texture) for surface in scene.surfaces]
+    rank = np.empty(len(codes), dtype=np.int64)
+    rank[sorted(range(len(codes)), key=codes.__getitem__)] = np.arange(len(codes))
+    return rank
 
 
 def _warn_if_far(position: np.ndarray, eye: np.ndarray, dtype: np.dtype) -> None:

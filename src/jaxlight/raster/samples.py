@@ -115,7 +115,6 @@ class SampleBuffer(eqx.Module):
         Raises:
             ValueError: a shape, a type, a value or an index that does not fit; says which.
         """
-        dtype = float_type("SampleBuffer: dtype", dtype)
         given = SampleRows(
             position,
             normal,
@@ -131,9 +130,17 @@ class SampleBuffer(eqx.Module):
             camera_to_world,
             pixel_to_world,
         )
+        return cls.from_rows(given, tile=tile, by_place=by_place, dtype=dtype)
+
+    @classmethod
+    def from_rows(
+        cls, given: SampleRows, *, tile: Any = None, by_place: Any = False, dtype: Any = None, rank: Any = None
+    ) -> SampleBuffer:
+        """`create`; surfaces are stored in the order of their `rank` [surfaces] (None: by row)."""
+        dtype = float_type("SampleBuffer: dtype", dtype)
         rows = checked_rows(given, dtype)
-        by_place = boolean("SampleBuffer: by_place", by_place)
-        return cls._stored(rows, layout_of(rows.surface, _checked(tile), rows.position if by_place else None), dtype)
+        places = rows.position if boolean("SampleBuffer: by_place", by_place) else None
+        return cls._stored(rows, layout_of(rows.surface, _checked(tile), places, rank), dtype)
 
     @classmethod
     def _stored(cls, rows: SampleRows, layout: TileLayout, dtype: Any) -> SampleBuffer:

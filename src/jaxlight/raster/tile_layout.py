@@ -25,10 +25,21 @@ class TileLayout(NamedTuple):
     group: int
 
 
-def layout_of(surface: np.ndarray, tile: int | None, position: np.ndarray | None = None) -> TileLayout:
-    """`position` [N, 3]: neighbours in space go together; None: samples stay as they come."""
-    order = np.argsort(surface, kind="stable")
-    rows, counts = np.unique(surface, return_counts=True)
+def layout_of(
+    surface: np.ndarray, tile: int | None, position: np.ndarray | None = None, rank: np.ndarray | None = None
+) -> TileLayout:
+    """The layout of samples of these surfaces [N].
+
+    Args:
+        surface: row of each in `Scene.surfaces`.
+        tile: samples a tile; None: chosen from N.
+        position: [N, 3]: neighbours in space go together; None: samples stay as they come.
+        rank: [surfaces], in which order surfaces are stored; None: by row.
+    """
+    place = surface if rank is None else rank[surface]
+    order = np.argsort(place, kind="stable")
+    _, first, counts = np.unique(place, return_index=True, return_counts=True)
+    rows = surface[first]
     if tile is None:
         tile = _tile_size(len(surface), len(rows))
     tiles = -(-counts // tile)

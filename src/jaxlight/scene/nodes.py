@@ -96,8 +96,7 @@ class Node:
                 raise ValueError(f"{self.label}.{field}: expected {kinds}, got {node!r:.80}")
 
         if isinstance(default, tuple):
-            children = tuple(several(value))
-            for child in children:
+            for child in (children := tuple(several(value))):
                 check(child)
             return children
         if value is not None:
