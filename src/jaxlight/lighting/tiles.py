@@ -41,15 +41,8 @@ def surface_runs(
     `textures`: those of the scene; all that have as many components are read by the same code. None: split by textures.
     """
     shared = textures if for_cpu() else None
-
-    def code_of(run: tuple[int, int, int]) -> tuple[str, bool, int, int]:
-        surface = surfaces[run[0]]
-        if shared is not None:
-            return surface.code(shared)
-        return surface.lighting, surface.material < 0, surface.texture, surface.color_components
-
     runs: list[Run] = []
-    for _, alike in itertools.groupby(samples.runs, code_of):
+    for _, alike in itertools.groupby(samples.runs, lambda run: surfaces[run[0]].code(shared)):
         (row, start, stop), *more = alike
         runs.append(Run(surfaces[row], None, start, more[-1][2]) if more else Run(surfaces[row], row, start, stop))
     return runs

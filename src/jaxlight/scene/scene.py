@@ -36,11 +36,11 @@ class Surface(NamedTuple):
         """Whether a texture decides on the colour; emissive lines and points have none."""
         return self.texture >= 0 and self.lighting != "emissive"
 
-    def code(self, textures: Sequence[Texture]) -> tuple[str, bool, int, int]:
+    def code(self, textures: Sequence[Texture] | None) -> tuple[str, bool, int, int]:
         """What decides on the code that colours its samples: not which material, nor which texture of as many
-        components."""
-        components = -1 if self.texture < 0 else textures[self.texture].image.shape[-1]
-        return self.lighting, self.material < 0, components, self.color_components
+        components (None: which texture does)."""
+        alike = self.texture if textures is None or self.texture < 0 else textures[self.texture].image.shape[-1]
+        return self.lighting, self.material < 0, alike, self.color_components
 
 
 class Materials(eqx.Module):
